@@ -61,17 +61,21 @@ class Collisions:
         # The model as it was given, once obstacles have moved.
         self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
-        used, index = np.unique(self.pairs, return_inverse=True)
-        self._used, self._first, self._second = used, *index.reshape(-1, 2).T
         model = arm.geometry
+        used = np.flatnonzero(np.bincount(self.pairs.ravel(), minlength=model.ngeom))
+        self._used, (self._first, self._second) = used, np.searchsorted(used, self.pairs.T)
         self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
-        planes = model.geom_type[used] == mujoco.mjtGeom.mjGEOM_PLANE
+        planes = model.geom_type[used] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
         # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
         self._reach = self._radius[self._first] + self._radius[self._second] + _SLACK
+        # Of two geoms the one that fills its bounding ball most is taken as that ball.
+        empty = self._radius / np.maximum(self._half.min(axis=1), 1e-300)
+        swapped = empty[self._first] < empty[self._second]
+        self._first, self._second = np.where(swapped, [self._second, self._first], [self._first, self._second])
         # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.
         bodies = np.unique(model.geom_bodyid[used])
         self._bodies = bodies[model.body_weldid[bodies] != 0]
@@ -143,7 +147,8 @@ class Collisions:
         near = (apart < np.square(np.maximum(limits + self._reach, 0.0))).ravel().nonzero()[0]
         at, index = np.divmod(near, len(first))
         limits = limits.take(near if limits.ndim == 2 else index)
-        # Boxes along the normals of the faces of each; `take` is a third of the time of indexing.
+        # A ball and the other one's box, then both boxes along the normals of their faces; `take` is a third of the
+        # time of indexing.
         centers, frames = center.reshape(-1, 3), used.reshape(-1, 3, 3)
         one, other = first.take(index), second.take(index)
         here, there = at * len(self._used) + one, at * len(self._used) + other
@@ -151,7 +156,9 @@ class Collisions:
         beyond = np.abs(np.vecmat(between, frame)) - self._half.take(one, axis=0)
         # Sorting out a few takes longer than all that follows.
         if len(at) > 256:
-            near = (beyond.max(axis=1) - self._radius.take(other) < limits + _SLACK).nonzero()[0]
+            deep, outside = np.minimum(beyond.max(axis=1), 0.0), np.maximum(beyond, 0.0)
+            apart = np.sqrt(np.vecdot(outside, outside)) + deep - self._radius.take(other)
+            near = (apart < limits + _SLACK).nonzero()[0]
             at, index, one, other, there = (part.take(near) for part in (at, index, one, other, there))
             limits, between, beyond, frame = (part.take(near, axis=0) for part in (limits, between, beyond, frame))
         turn, half = frames.take(there, axis=0), self._half.take(other, axis=0)
@@ -310,7 +317,8 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
     implicit = np.stack([first[apart], second[apart]], axis=1)
     explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
-    pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)
+    numbers = np.sort(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
+    pairs = np.stack(np.divmod(numbers[np.diff(numbers, prepend=-1) > 0], model.ngeom), axis=1)
     pairs.setflags(write=False)
     return pairs
 

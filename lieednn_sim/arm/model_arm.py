@@ -237,7 +237,11 @@ class ModelArm(SerialArm):
             InputError: q is malformed.
             NoSolutionError: loops cannot be closed.
         """
-        positions, grasp = super().qpos(q), self.grasp
+        return self.to_qpos(as_floats("q", q, (self.n_joints,), batched=True), strict=strict)
+
+    def to_qpos(self, q: Floats, *, strict: bool = False) -> Floats:
+        """`qpos`, unchecked, which would take as long as a test for contact."""
+        positions, grasp = self.space.to_qpos(q), self.grasp
         if self.dependents is not None:
             positions = self.dependents.to_qpos(positions, strict=strict)
         if grasp is not None:

@@ -182,11 +182,7 @@ class _Search:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
         problem, options, edges = self.problem, self.options, self.edges
         region, weight, checks = problem.path_constraint, edges.weight, options.collision_checks
-        box, scale = weight[:, None] * edges.bounds, edges.scale / weight
-
-        def clear(first: Floats, second: Floats) -> bool:
-            return edges.passable(first / weight, second / weight)
-
+        box, scale, clear = weight[:, None] * edges.bounds, edges.scale / weight, edges.weighted().passable
         search, shortcuts = np.random.SeedSequence([problem.seed, attempt]).spawn(2)
         corners = connected(
             problem.start / scale,

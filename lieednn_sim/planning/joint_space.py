@@ -39,8 +39,7 @@ class ClearanceTest:
 
         One beyond the arm's stops, or at which loops cannot be closed, counts as well.
         """
-        # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
-        positions = self._arm.qpos(q, strict=False)
+        positions = self._arm.to_qpos(q)
         beyond = self._beyond(positions)
         end = len(q) if beyond is None else int(np.append(beyond > 0.0, True).argmax())
         first = self._finder.first(positions[:end])
@@ -80,8 +79,9 @@ class Workspace:
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
-        #: Least distance of start and target from everything [m].
-        self.ends = min(map(self.collisions.clearance, (problem.start, problem.target)))
+        #: Distances of start and target from everything [m], and the least.
+        self.distances = tuple(map(self.collisions.clearance, (problem.start, problem.target)))
+        self.ends = min(self.distances)
         kept_fraction = 0.8  # of the distance of start and target, where these are closer than the margin
         # The clearance that motions are checked for is kept.
         self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * self.ends, problem.arm.clearance)))

@@ -12,7 +12,7 @@ from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_fricti
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats
 
-_NEAR = 0.7  # part of a limit above which, at one of them, all are looked at; of 288 fast motions none had 1.25 of it
+_NEAR = 0.7  # part of a limit above which, at one of them, more are looked at; of 288 fast motions none had 1.25 of it
 _TOLERANCE = 1e-6  # by which a force may pass its limit, in units of it
 _RESTING = 1e-6  # rate below which dry friction holds a joint rather than brakes it [rad/s, m/s]
 
@@ -58,7 +58,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
     The arm is taken with its payload and what it holds; arguments are as for `motion.check_joints`.
     Dry friction acts against the motion; contacts are left out. Some samples are looked at, and those with the largest
-    accelerations; all of them if any of these needs 0.7 of a limit.
+    accelerations; if any of these needs 0.7 of a limit, some 250, and all near those that need as much.
 
     If time is stretched by s, forces f0 of gravity, springs and dry friction stay, f1 of dampers become f1 / s, and the
     rest f2 / s^2. So a force stays below F from s = (f1 + sqrt(f1^2 + 4 (F - f0) f2)) / (2 (F - f0)) on.
@@ -74,14 +74,14 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     if not _limited(arm) or _use(_along(arm, t, q, qd, np.append(np.minimum(looks, last - 1), fastest))).max() <= _NEAR:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
-    # Many motions are far too fast, which some 250 samples tell.
-    for stride in (max(1, last // 250), 1):
-        some = np.arange(0, last, stride)
-        forces = _along(arm, t, q, qd, some)
-        k, j = np.nonzero(_use(forces) > 1.0 + _TOLERANCE)
-        if len(k):
-            break
-    else:
+    # Many motions are far too fast, which some 250 samples tell. Of the others, those near samples that need as much.
+    some = np.arange(0, last, stride := max(1, last // 250))
+    use = _use(forces := _along(arm, t, q, qd, some))
+    if stride > 1 and use.max() <= 1.0 + _TOLERANCE:
+        some = _between(some, use.max(axis=1) > _NEAR, qd)
+        use = _use(forces := _along(arm, t, q, qd, some))
+    k, j = np.nonzero(use > 1.0 + _TOLERANCE)
+    if not len(k):
         return None
     rows, (needed, bound) = some[k], forces[:, k, j]
     # In the direction of the bound that is passed.
@@ -94,6 +94,15 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     worst = int(stretch.argmax())
     where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
     return float(t[-1] * stretch[worst]), _overload(arm, int(j[worst]), where, needed[worst], bound[worst])
+
+
+def _between(some: NDArray[np.int_], busy: NDArray[np.bool_], qd: Floats) -> NDArray[np.int_]:
+    """Samples between evenly spaced ones of which one is busy, or where an acceleration changes by a fifth or more."""
+    changes = np.diff(qd, axis=0)
+    swing = np.maximum.reduceat(changes, some) - np.minimum.reduceat(changes, some)
+    busy = busy | np.append(busy[1:], False) | (swing > 0.2 * np.abs(changes).max(axis=0)).any(axis=1)
+    between = (some[busy, None] + np.arange(1, some[1] - some[0])).ravel()
+    return between[between < len(changes)]
 
 
 def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:

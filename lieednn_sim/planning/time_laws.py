@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -171,6 +172,11 @@ class TimedCurve:
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
         self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
+    @cached_property
+    def _states(self) -> CubicSpline:
+        """The network's states along the path, as `q`."""
+        return CubicSpline(self._fraction, self._motion.xi[self._kept])
+
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
         law, window = self._switching(), 0.002
@@ -192,10 +198,10 @@ class TimedCurve:
                     break
         return min(laws, key=lambda item: float(item.x[-1]))
 
-    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
-        """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
-        topp = optional_module("toppra")
-        constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
+    @cached_property
+    def _rate_limited(self) -> tuple[float, Any, list[Any]]:
+        """A unit of time [s], and toppra's path and limits of velocity and acceleration in it."""
+        constraint = optional_module("toppra.constraint")
         # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
         # acceleration limit gives in the unit of time, which is about the motion's duration.
         q, velocity, acceleration = self._motion.q[self._kept], self._arm.velocity_limits, self._arm.acceleration_limits
@@ -204,14 +210,14 @@ class TimedCurve:
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
         constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
-        if near is not None:
-            constraints.append(self._force_constraint(near, unit))
-        solver = algorithm.TOPPRA(
-            constraints,
-            topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
-            gridpoints=self._grid,
-            solver_wrapper="seidel",
-        )
+        return unit, optional_module("toppra").SplineInterpolator(self._fraction, (q - q[0]) / size), constraints
+
+    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
+        """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
+        unit, path, limits = self._rate_limited
+        constraints = [*limits, *([] if near is None else [self._force_constraint(near, unit)])]
+        topp = optional_module("toppra.algorithm").TOPPRA
+        solver = topp(constraints, path, gridpoints=self._grid, solver_wrapper="seidel")
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
@@ -286,7 +292,7 @@ class TimedCurve:
         fraction = np.clip(law(t * pace), 0.0, 1.0)
         q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
         q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
-        xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
+        xi = self._states(fraction)
         xi[[0, -1]] = old.xi[[0, -1]]
         tau, translation, rotation = (
             make_interp_spline(self._fraction, values[kept], k=1)(fraction)

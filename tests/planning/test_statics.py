@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.statics import force_use
+from lieednn_sim.planning.statics import check_forces, force_use
 
 G = 9.81
 STEEL = 0.4 * (3.0 / (4.0 * np.pi * 7850.0)) ** (2.0 / 3.0)  # moment of inertia of a ball of a kilogram [kg m^2]
@@ -77,6 +77,18 @@ def test_a_motion_is_stretched_to_where_the_force_is_at_its_limit(damping, frict
     slow = ls.plan(arm, [0.8, 0.0], planner="minimum-jerk", duration=(0.25, 2.0)).motion
     assert needed <= slow.t[-1] <= 1.05 * needed
     assert 0.9 < force_use(arm, slow.t, slow.q, slow.qd) <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("at", [3, 1003, 1990])
+def test_a_jolt_between_the_samples_that_are_looked_at_first_is_found(at):
+    """Of 45 m/s^2 for three steps, and back with half of it."""
+    qdd = np.zeros(2001)
+    qdd[at : at + 3], qdd[at + 3 : at + 9] = 45.0, -22.5
+    qd = np.stack([np.append(0.0, 0.002 * np.cumsum(qdd)[:-1]), np.zeros(2001)], axis=1)
+    duration, reason = check_forces(hoist(), t := 0.002 * np.arange(2001), 0.002 * np.cumsum(qd, axis=0), qd)
+    assert f"at t = {t[at]:.2f} s" in reason
+    assert f"its load is {2.0 * (G + 45.0):.4g} N" in reason
+    assert duration == pytest.approx(4.0 * np.sqrt(90.0 / (100.0 - 2.0 * G)))
 
 
 @pytest.mark.parametrize("down", [False, True])

@@ -136,10 +136,10 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     assert len(used) == 1
     assert min(Collisions(POSTED).clearance(q) for q in motion.q[::8]) > POSTED.clearance - 1e-6
     # From the other end it is the same search, which begins at the end that has less room.
-    workspace = Workspace(task, options.margin)
     back = replace(task, start=task.target, target=task.start)
     search = sampling.balanced_search
-    there, home = (sampling.connecting_path(one, workspace, options, search, 0) for one in (task, back))
+    spaces = [(one, Workspace(one, options.margin)) for one in (task, back)]
+    there, home = (sampling.connecting_path(*one, options, search, 0) for one in spaces)
     for narrow, wide in (tree["ends"] for tree in used[-2:]):
         np.testing.assert_allclose(narrow * task.start, wide * task.target, atol=1e-12)
     for corners, one in ((there, task), (home, back)):
@@ -147,7 +147,7 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     again = sampling.connecting_path(task, Workspace(task, options.margin), options, search, 0)
     np.testing.assert_array_equal(there, again)
     # The second attempt draws others; and who may do no work finds nothing.
-    sampling.connecting_path(task, workspace, options, search, 1)
+    sampling.connecting_path(*spaces[0], options, search, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
     with pytest.raises(PlanError, match="rrt-connect found no path free of contact"):
         plan_with("rrt-connect", task, options=replace(options, max_collision_checks=(1,)))

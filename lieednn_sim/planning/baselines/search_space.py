@@ -5,6 +5,7 @@ Points are joint coordinates over velocity limits, so the length of a path is a 
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from functools import cache, lru_cache
@@ -44,29 +45,37 @@ class EdgeTest:
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
-    def _inside(self, q: Floats) -> bool:
+    def weighted(self) -> EdgeTest:
+        """The same for points times `weight`."""
+        result = copy.copy(self)
+        result.scale, result.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
+        result._density, result._known = self._density / self.weight, set()
+        return result
+
+    def _inside(self, point: Floats) -> bool:
         # No exception may pass through the library; when time is out nothing is free, so that it ends soon. Samples are
         # drawn within the box of the limits, but the angle limit of a ball joint is not a box. It is convex, so an edge
         # is within it if its ends are.
-        return not (out_of_time() or (self._balls and (self._arm.limit_excess(q) > 0.0).any()))
+        return not (out_of_time() or (self._balls and (self._arm.limit_excess(self.scale * point) > 0.0).any()))
 
     def free(self, point: Floats) -> bool:
         """Whether a point ``(n,)`` is clear."""
-        if not (self._inside(self.scale * point) and self._clear(self.scale * point)):
+        if not (self._inside(point) and self._clear(self.scale * point)):
             return False
         self._known.add(point.tobytes())
         return True
 
     def passable(self, first: Floats, second: Floats) -> bool:
         """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced configurations."""
-        if not self._inside(self.scale * second):
+        if not self._inside(second):
             return False
-        count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
+        change = second - first
+        count = max(1, math.ceil(float(np.abs(change) @ self._density)))
         # An end found clear before is not tested again, but counts as work.
         end = second.tobytes()
-        fractions = bisecting(count)[end in self._known :]
+        fractions = bisecting(count)[end in self._known :, None]
         self._clear.tests += end in self._known
-        if self._clear.first_blocked(self.scale * (first + fractions[:, None] * (second - first))) is not None:
+        if self._clear.first_blocked(self.scale * (first + fractions * change)) is not None:
             return False
         self._known.add(end)
         return True
@@ -92,7 +101,8 @@ class SearchSpace:
         self._problem = problem
         # Callbacks must not hold OMPL's objects: such reference cycles are never collected.
         self.edges = edges = EdgeTest(problem.arm, workspace, spacing)
-        self.ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
+        ends = problem.start, problem.target
+        self.ends = ends if workspace.distances[0] <= workspace.distances[1] else ends[::-1]
         self._space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint, (low, high) in enumerate(edges.bounds):

@@ -9,11 +9,10 @@ nodes that all fail to reach the other tree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from lieednn_sim.values import Floats
 
@@ -44,7 +43,7 @@ def connected(
     """
     if onto is None and clear(start, target):
         return np.stack([start, target])
-    rng = np.random.default_rng(seed)
+    samples_of = _samples(bounds, seed)
     first = grown = _Tree(start)
     other = _Tree(target)
 
@@ -54,14 +53,15 @@ def connected(
 
     def extension() -> tuple[int, Floats] | None:
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
-        samples = rng.uniform(bounds[:, 0], bounds[:, 1], (64, len(bounds)))
+        samples = next(samples_of)
         near, distance = grown.nearest(samples)
         # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
-        inside = distance <= grown.radius[near]
-        for index in np.flatnonzero(inside) if inside.any() else [np.argmin(distance / grown.radius[near])]:
+        outside = distance / grown.radius[near]
+        inside = (outside <= 1.0).nonzero()[0]
+        for index in inside if len(inside) else [outside.argmin()]:
             node, length = near[index], distance[index]
             # The domain may have shrunk meanwhile.
-            if inside[index] and length > grown.radius[node]:
+            if len(inside) and length > grown.radius[node]:
                 continue
             if over():
                 break
@@ -100,26 +100,45 @@ def connected(
     return None
 
 
+def _samples(bounds: Floats, seed: int | np.random.SeedSequence) -> Iterator[Floats]:
+    """Samples ``(64, n)`` within bounds ``(n, 2)``, drawn for some extensions at once."""
+    rng = np.random.default_rng(seed)
+    while True:
+        yield from bounds[:, 0] + np.ptp(bounds, axis=1) * rng.random((16, 64, len(bounds)))
+
+
 class _Tree:
-    """Points ``(M, n)``, their parents, and radii ``(M,)`` of their domains, infinite until an extension fails."""
+    """Points ``(M, n)``, their parents, and radii ``(M,)`` of their domains, infinite until an extension fails.
+
+    The arrays have room for more nodes, and twice as much when it is used up.
+    """
 
     def __init__(self, root: Floats) -> None:
-        self.points, self.radius, self._parents = root[None], np.full(1, np.inf), [-1]
+        self.points, self.radius, self._parents = np.empty((256, len(root))), np.full(256, np.inf), list[int]()
+        self._planes = np.empty((len(root) + 1, 256))
+        self.add(root, -1)
 
     def __len__(self) -> int:
         return len(self._parents)
 
     def add(self, point: Floats, parent: int) -> int:
         """Add a node; return its number."""
-        self.points, self.radius = np.vstack([self.points, point]), np.append(self.radius, np.inf)
+        if (node := len(self)) == len(self.points):
+            self.points = np.concatenate([self.points, self.points])
+            self.radius = np.append(self.radius, np.full(node, np.inf))
+            self._planes = np.concatenate([self._planes, self._planes], axis=1)
+        self.points[node], self._planes[:-1, node], self._planes[-1, node] = point, -2.0 * point, point @ point
         self._parents.append(parent)
-        return len(self) - 1
+        return node
 
     def nearest(self, points: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The node nearest to each point ``(K, n)``, and its distance."""
-        distances = cdist(points, self.points)
-        nodes = distances.argmin(axis=1)
-        return nodes, distances[np.arange(len(points)), nodes]
+        # That with the least |p|^2 - 2 x . p: one product of matrices, in a fifth of the time of all distances.
+        lifted = np.ones((len(points), len(self._planes)))
+        lifted[:, :-1] = points
+        nodes = (lifted @ self._planes[:, : len(self)]).argmin(axis=1)
+        away = np.ascontiguousarray((points - self.points[nodes]).T)
+        return nodes, np.sqrt(np.square(away).sum(axis=0))
 
     def branch(self, node: int) -> Floats:
         """Points from the root to a node, ``(M, n)``."""
