@@ -59,9 +59,6 @@ def browser(page, opened):
     # That it draws with the processor it tells in a corner, which may be where the mouse is to go.
     hide = "document.head.insertAdjacentHTML('beforeend', '<style>.mantine-Notifications-root{display:none}</style>')"
     driver.execute_script(hide)
-    # Nor more than ten pictures a second, since to draw them takes all that a core has.
-    rare = "const draw = requestAnimationFrame; window.requestAnimationFrame = (f) => setTimeout(draw, 100, f)"
-    driver.execute_script(f"if (!window.rare) {{ window.rare = true; {rare} }}")
     page.session.paused = False
     yield driver
     page.session.paused = True
