@@ -226,13 +226,12 @@ def test_the_command_shows_an_own_robot_until_ctrl_c(start, tmp_path, two_hinges
 def test_other_machines_are_let_in_with_a_warning_and_only_when_asked_for():
     assert [warning(host) for host in ("127.0.0.1", "localhost", "::1")] == ["", "", ""]
     assert "at 0.0.0.0 can see the page" in warning("0.0.0.0")
-    with pytest.warns(UserWarning, match="anybody who can reach this machine"), ls.view(host="0.0.0.0", browser=False):
-        pass
 
 
-def test_a_load_beyond_the_usual_ones_is_shown_and_a_planner_that_is_not_installed_is_refused(monkeypatch):
+def test_a_load_beyond_the_usual_ones_is_shown_to_others_and_a_planner_that_is_not_installed_is_refused(monkeypatch):
     given = {"payload": 800.0, "mass_scale": 3.0, "rho": 0.02}
-    with ls.view(browser=False, **given) as page:
+    warned = pytest.warns(UserWarning, match="anybody who can reach this machine")
+    with warned, ls.view(host="0.0.0.0", browser=False, **given) as page:
         shown = [handle.value for handle in page._server.gui._gui_input_handle_from_uuid.values()]
         assert set(given.values()) <= {value for value in shown if isinstance(value, float)}
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: None)

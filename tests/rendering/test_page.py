@@ -211,15 +211,15 @@ def test_legs_are_drawn_between_their_ends():
     model = arm.model
     shapes = viser_scene.Shapes(model)
     ends = {model.tendon(k).name: [f"{model.tendon(k).name}_{end}" for end in ("lower", "upper")] for k in range(24)}
-    for name in ("home", "extended"):
-        data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
-        with quiet_server() as server:
-            nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
+    with quiet_server() as server:
+        nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
+        for name in ("home", "extended"):
+            data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
             nodes.show(data.qpos)
             legs = [pair for node, tendons in nodes.tendons for pair in zip(tendons, node.points, strict=True)]
             drawn = {model.tendon(k).name: piece for k, piece in legs}
-        assert drawn.keys() == ends.keys()
-        for leg, piece in drawn.items():
-            wanted = [data.site_xpos[model.site(end).id] for end in ends[leg]]
-            np.testing.assert_allclose(piece, wanted, atol=1e-4)
+            assert drawn.keys() == ends.keys()
+            for leg, piece in drawn.items():
+                wanted = [data.site_xpos[model.site(end).id] for end in ends[leg]]
+                np.testing.assert_allclose(piece, wanted, atol=1e-4)
     assert {radius for _, radius in shapes.tendons} == set(model.tendon_width.astype(np.float32).astype(float))
