@@ -21,6 +21,11 @@ from lieednn_sim.live.scene import Observer
 
 pytest.importorskip("viser")
 WIDTH, HEIGHT = 720, 560
+# For a page that has begun: ten pictures a second, since to draw without a graphics card takes all that a core has. The
+# player would answer to few of them by another resolution, which takes longest, unless the page's address has one.
+RARE = """if (!window.rare) { window.rare = true; const draw = requestAnimationFrame;
+window.requestAnimationFrame = (frame) => setTimeout(draw, 100, frame); }"""
+RESOLUTION = "?fixedDpr=1"
 
 
 def wait(event):
@@ -53,12 +58,13 @@ def page():
 @pytest.fixture
 def browser(page, opened):
     """The page in the browser."""
-    driver = opened(page.url, WIDTH, HEIGHT)
+    driver = opened(page.url + RESOLUTION, WIDTH, HEIGHT)
     wait(lambda: "certified" in text(driver))
     wait(page._server.get_clients)
     # That it draws with the processor it tells in a corner, which may be where the mouse is to go.
     hide = "document.head.insertAdjacentHTML('beforeend', '<style>.mantine-Notifications-root{display:none}</style>')"
     driver.execute_script(hide)
+    driver.execute_script(RARE)
     page.session.paused = False
     yield driver
     page.session.paused = True
@@ -173,9 +179,10 @@ def test_the_button_pushes_and_the_menu_changes_the_policy(page, browser):
 def test_another_tab_shows_the_arm_its_loss_leaves_the_first_and_nothing_complains(page, browser):
     first = browser.current_window_handle
     browser.switch_to.new_window("tab")
-    browser.get(page.url)
+    browser.get(page.url + RESOLUTION)
     wait(lambda: len(page._server.get_clients()) == 2)
     wait(lambda: "policy" in text(browser))
+    browser.execute_script(RARE)
 
     def orange():
         hue, saturation, value = np.moveaxis(picture(browser, "HSV")[:, : WIDTH // 2], -1, 0)
