@@ -10,13 +10,13 @@ from pathlib import Path
 
 # All results depend on the former, and those of some planners on the latter.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
+_version = cache(metadata.version)  # of a running process, which reads them for every table and file
 
 
 def versions(*, optional: bool = False) -> dict[str, str]:
     """Versions by package, optionally with those of the planners' installed libraries."""
-    result = {name: metadata.version(name) for name in _PACKAGES}
-    found = {name: installed(name) for name in _OPTIONAL} if optional else {}
-    return result | {name: version for name, version in found.items() if version}
+    result = {name: _version(name) for name in _PACKAGES}
+    return result | {name: version for name in _OPTIONAL if optional and (version := installed(name))}
 
 
 def installed(name: str) -> str | None:

@@ -248,6 +248,8 @@ def chromium() -> Iterator[Any]:
     options.binary_location = shutil.which("chromium")
     for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
         options.add_argument(argument)
+    # Nor does it connect on a guess: a server that closes waits for who has connected and asks for nothing.
+    options.add_experimental_option("prefs", {"net.network_prediction_options": 2})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
     driver.set_script_timeout(300)

@@ -45,6 +45,8 @@ def built(maker, tmp_path_factory):
 def browser(built, opened):
     """The page in a browser, with an arm that moves."""
     driver = opened(built.as_uri(), WIDTH, HEIGHT)
+    # To draw without a graphics card takes all that there is, and four pictures a second are enough here.
+    driver.execute_script("const draw = requestAnimationFrame; requestAnimationFrame = (f) => setTimeout(draw, 250, f)")
     wait(lambda: driver.execute_script("return globalThis.page?.world.data.time > 0"))
     return driver
 

@@ -43,31 +43,42 @@ def is_value(cls):
     return getattr(cls.__eq__, "__module__", "") == "lieednn_sim.values"
 
 
-CLASSES = sorted(dataclasses_of_the_package(), key=lambda cls: cls.__qualname__)
-VALUES = [cls for cls in CLASSES if is_value(cls)]
+@pytest.fixture(scope="module")
+def classes():
+    """All of them, which takes every module and what it imports: not while tests are collected, by every worker."""
+    return sorted(dataclasses_of_the_package(), key=lambda cls: cls.__qualname__)
 
 
-def test_every_frozen_dataclass_with_arrays_is_a_value():
+@pytest.fixture(scope="module")
+def values(classes):
+    return [cls for cls in classes if is_value(cls)]
+
+
+def test_every_frozen_dataclass_with_arrays_is_a_value(classes, values):
     with_arrays = {
         cls.__name__
-        for cls in CLASSES
+        for cls in classes
         if cls.__dataclass_params__.frozen
         and not cls.__name__.startswith("_")
         and any("Floats" in str(item.type) or "NDArray" in str(item.type) for item in dataclasses.fields(cls))
     }
-    assert {cls.__name__ for cls in VALUES} >= with_arrays - IDENTITIES
+    assert {cls.__name__ for cls in values} >= with_arrays - IDENTITIES
     assert {"Motion", "Rollout", "Plan", "Certificate", "Synthesis", "Following", "LieEDNN"} <= {
-        cls.__name__ for cls in VALUES
+        cls.__name__ for cls in values
     }
 
 
 CONTENT = arrays(np.float64, (2, 3), elements=st.floats(allow_nan=True))
 
 
-@pytest.mark.parametrize("cls", VALUES, ids=lambda cls: cls.__qualname__)
+def test_arrays_are_read_only_and_equality_is_of_content(values):
+    for cls in values:
+        check_value(cls)
+
+
 @settings(max_examples=3)
 @given(content=CONTENT, data=st.data())
-def test_arrays_are_read_only_and_equality_is_of_content(cls, content, data):
+def check_value(cls, content, data):
     names = [item.name for item in dataclasses.fields(cls)]
     public = [item for item in dataclasses.fields(cls) if item.compare or not item.name.startswith("_")]
     with pytest.MonkeyPatch.context() as patch:

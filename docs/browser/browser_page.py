@@ -174,7 +174,7 @@ def scene_of(name: str) -> dict[str, Any]:
 
 def packed(content: bytes) -> str:
     """Compressed, as text."""
-    return base64.b64encode(gzip.compress(content, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
 
 
 def write(page: Path) -> None:

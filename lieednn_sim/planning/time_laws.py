@@ -19,9 +19,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # whose ndimage is loaded when it is used
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_interp_spline
-from scipy.ndimage import convolve1d, maximum_filter1d
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
@@ -78,7 +78,7 @@ def recorded_law(t: Floats, fraction: Floats) -> Law:
     s = np.linspace(t[0] - early, t[-1] + late, 401)
     half = round(width / (s[1] - s[0]))
     window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * half + 3)[1:-1])
-    smooth = convolve1d(np.interp(s, t, fraction), window / window.sum(), mode="nearest")
+    smooth = scipy.ndimage.convolve1d(np.interp(s, t, fraction), window / window.sum(), mode="nearest")
     smooth = (smooth - smooth[0]) / (smooth[-1] - smooth[0])
     # Elsewhere averages still move a little at the ends: to and from rest in one piece.
     first, last = np.where(sudden, 1, half)
@@ -109,8 +109,8 @@ def eased_law(motion: Motion, units: Floats) -> Law | None:
         return None
     # A Hann window; scipy.signal has it, but takes as long to import as everything else in a planning process.
     window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * max(1, round(_EASING_WIDTH * count)) + 1))
-    slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
-    slower = convolve1d(slower, window / window.sum(), mode="nearest")
+    slower = scipy.ndimage.maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
+    slower = scipy.ndimage.convolve1d(slower, window / window.sum(), mode="nearest")
     s = motion.t / duration
     return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), minimum_jerk_law(s)[0])
 

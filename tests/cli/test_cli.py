@@ -36,7 +36,7 @@ def run(tmp_path_factory):
 
 @pytest.mark.usefixtures("drawing")
 def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(figure_layout, "_DPI", 40)
+    monkeypatch.setattr(figure_layout, "_DPI", 20)
     directory = tmp_path / "demo"
     begun = time.perf_counter()
     assert main(["demo", "--no-video", "--output", str(directory)]) == 0

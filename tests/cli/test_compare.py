@@ -29,7 +29,7 @@ def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, mo
         return [Reaction(arm, scene, policy, name, seed, step_us=7.25) for name in DISTURBANCES]
 
     monkeypatch.setattr(study.Reactions, "run", staticmethod(ran))
-    assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1"]) == 0
+    assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1", "--views", "0"]) == 0
     assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")
     page = (tmp_path / "comparison.html").read_text("utf-8")
     assert page.count("<td>payload</td>") == len(COMPARED)

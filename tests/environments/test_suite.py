@@ -109,6 +109,7 @@ def test_the_pixel_wrapper_of_dm_control_sees_the_arm_move():
     from dm_control.suite.wrappers import pixels
 
     environment = suite.load(random=0, time_limit=1.0)
+    environment.physics.model.vis.quality.shadowsize = 64  # of 4096 without a graphics card they take longest
     options = {"height": 48, "width": 64, "camera_id": "side"}
     wrapped = pixels.Wrapper(environment, pixels_only=False, render_kwargs=options)
     assert wrapped.observation_spec()["pixels"].shape == (48, 64, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import sys
@@ -133,7 +134,19 @@ def test_the_caption_says_what_is_proved(rollout, tmp_path, monkeypatch, clearan
 @pytest.fixture(scope="module")
 def address(rollout, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "motion.html"
-    render_page(rollout, path, title="by <hand>")
+
+    @contextlib.contextmanager
+    def server():
+        # To light a scene by its surroundings and to throw shadows takes a processor that draws longer than all else.
+        with quiet_server() as made:
+            made.scene.configure_environment_map(None)
+            made.scene.configure_default_lights(cast_shadow=False)
+            made.scene.add_light_ambient("/light", intensity=3.0)
+            yield made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "quiet_server", server)
+        render_page(rollout, path, title="by <hand>")
     return path.as_uri()
 
 
@@ -177,10 +190,10 @@ def test_in_a_browser_the_page_plays_to_its_end(rollout, browser):
 
 
 @pytest.mark.browser
-def test_in_a_tall_window_the_page_is_filled_and_the_arm_stays_within(address, opened):
+def test_in_a_tall_window_the_page_is_filled_and_the_arm_stays_within(browser):
     """As wide a picture as one of the least width / height has, in the whole height."""
-    driver = opened(f"{address}#tall", 400, 844)
-    zoom, wide, high, ratio = driver.execute_async_script(
+    browser.set_window_size(400, 844)
+    zoom, wide, high, ratio = browser.execute_async_script(
         "const done = arguments[0], ratio = Number(document.head.innerHTML.match(/clientHeight . ([0-9.]+)/)[1]);"
         "const wait = setInterval(() => { const eye = window.__viserMutable?.cameraControl;"
         "if (!eye || eye.camera.zoom === 1) return; const box = document.querySelector('#root canvas');"
@@ -198,15 +211,15 @@ def test_legs_are_drawn_between_their_ends():
     model = arm.model
     shapes = viser_scene.Shapes(model)
     ends = {model.tendon(k).name: [f"{model.tendon(k).name}_{end}" for end in ("lower", "upper")] for k in range(24)}
-    for name in ("home", "extended"):
-        data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
-        with quiet_server() as server:
-            nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
+    with quiet_server() as server:
+        nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
+        for name in ("home", "extended"):
+            data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
             nodes.show(data.qpos)
             legs = [pair for node, tendons in nodes.tendons for pair in zip(tendons, node.points, strict=True)]
             drawn = {model.tendon(k).name: piece for k, piece in legs}
-        assert drawn.keys() == ends.keys()
-        for leg, piece in drawn.items():
-            wanted = [data.site_xpos[model.site(end).id] for end in ends[leg]]
-            np.testing.assert_allclose(piece, wanted, atol=1e-4)
+            assert drawn.keys() == ends.keys()
+            for leg, piece in drawn.items():
+                wanted = [data.site_xpos[model.site(end).id] for end in ends[leg]]
+                np.testing.assert_allclose(piece, wanted, atol=1e-4)
     assert {radius for _, radius in shapes.tendons} == set(model.tendon_width.astype(np.float32).astype(float))

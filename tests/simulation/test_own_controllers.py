@@ -43,7 +43,7 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(tmp_path,
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 0.1\n")
     (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{line}\n")
-    words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 1"
+    words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 1 --views 0"
     assert main([*words.split(), "--controllers", "plain-servo,position-servo", "--output", str(tmp_path / "out")]) == 0
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
     rows = {row.controller: row for row in Comparison.read(tmp_path / "out").rows.values()}

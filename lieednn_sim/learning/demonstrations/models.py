@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
+import scipy  # whose cluster is loaded when it is used
 from scipy.optimize import least_squares
 
 from lieednn_sim.budget import check_time, one_blas_thread
@@ -151,7 +151,7 @@ def _posterior(x: Floats, prior: Floats, mean: Floats, factor: Floats) -> Floats
 def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """Priors, means and factors of a Gaussian mixture by expectation maximisation, starting from k-means."""
     d = x.shape[1]
-    _, label = kmeans2(x, components, minit="++", rng=rng)
+    _, label = scipy.cluster.vq.kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
     for _ in range(60):
         count = gamma.sum(axis=0) + 1e-9  # an empty component keeps a tiny prior

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # whose ndimage is loaded when it is used
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
@@ -90,8 +90,8 @@ def clock_along(points: Floats, per_turn: float, smoothing: float) -> Floats:
     """
     s, pieces = np.linspace(0.0, 1.0, len(points)), np.diff(points, axis=0)
     directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)
-    turns = np.linalg.norm(np.diff(directions, axis=0), axis=1)
-    turning = gaussian_filter1d(np.interp(s[:-1], s[1:-1], turns), smoothing * len(pieces), mode="nearest")
+    turning = np.interp(s[:-1], s[1:-1], np.linalg.norm(np.diff(directions, axis=0), axis=1))
+    turning = scipy.ndimage.gaussian_filter1d(turning, smoothing * len(pieces), mode="nearest")
     passed = np.append(0.0, np.cumsum(1.0 / len(pieces) + per_turn * turning))
     return np.asarray(passed / passed[-1])
 

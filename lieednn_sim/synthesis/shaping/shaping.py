@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy  # whose ndimage is loaded when it is used
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim.budget import check_time, cpu_time, one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
@@ -209,7 +209,7 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     w = np.linspace(0.0, 1.0, _PIECES // 4 + 1)
     points = (curve.at(pace(w))[0] * curve.units)[:, :, half].reshape(len(w), -1) / curve.length
     second = np.linalg.norm(np.diff(points, n=2, axis=0), axis=1) / w[1] ** 2
-    density = np.sqrt(gaussian_filter1d(np.pad(second, 1, mode="edge"), 3.0, mode="nearest"))
+    density = np.sqrt(scipy.ndimage.gaussian_filter1d(np.pad(second, 1, mode="edge"), 3.0, mode="nearest"))
     density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
