@@ -75,10 +75,8 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
     if len(heads) < 2 or driven_directly(model).intersection(heads):
         return couplings
     if len({int(model.jnt_type[joint]) for joint in heads}) > 1:
-        raise InputError(
-            f"tendon {model.tendon(tendon).name!r} drives hinges and slides together; "
-            "tie its joints by equalities that say how they share the motion"
-        )
+        name = model.tendon(tendon).name
+        raise InputError(f"tendon {name!r} drives hinges and slides together; tie its joints by equalities instead")
     first, *others = heads
     x0, *zeros = model.qpos0[model.jnt_qposadr[heads]].tolist()
     ratios = [pulls[joint] / pulls[first] for joint in others]

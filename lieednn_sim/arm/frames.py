@@ -136,10 +136,7 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
     for inner, outer in itertools.pairwise(frames):
         path = ancestry(model, outer.body)
         if inner.body not in path:
-            raise InputError(
-                f"{outer.name!r} does not descend from {inner.name!r}; "
-                f"name links along one chain, from the base outwards"
-            )
+            raise InputError(f"{outer.name!r} does not descend from {inner.name!r}; name links from the base outwards")
         group = [joint for body in path[path.index(inner.body) + 1 :] for joint in joints_of(model, body)]
         if not group:
             raise InputError(f"no joint is between {inner.name!r} and {outer.name!r}; leave one of them out")

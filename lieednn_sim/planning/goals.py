@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from numbers import Number
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time
@@ -17,9 +17,6 @@ from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.path_constraints import followed
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 #: A goal or a set of goals, as `plan` takes them.
 Goal: TypeAlias = "ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any]"
@@ -40,7 +37,7 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
         yield target
     elif isinstance(target, TaskSpaceRegion):
         yield target
-    elif isinstance(target, scipy.spatial.transform.RigidTransform):
+    elif isinstance(target, RigidTransform):
         shape = target.as_matrix().shape[:-2]
         if len(shape) > 1:
             raise InputError(f"{what} must be a pose or poses of shape (m,), got {shape}")

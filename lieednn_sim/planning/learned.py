@@ -9,12 +9,11 @@ certificate.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
@@ -30,9 +29,6 @@ from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import recorded_law, retime
 from lieednn_sim.validation import Seed, as_floats, as_seed
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 #: The name of such a guide in `Plan.guide`.
 LEARNED = "learned motion"
@@ -72,7 +68,7 @@ def plan_learned(
         NoSolutionError: the end effector cannot reach the first pose.
         PlanError: it cannot follow the others, or the motion breaks a limit of the arm.
     """
-    if not (goal is None or isinstance(goal, scipy.spatial.transform.RigidTransform)):
+    if not (goal is None or isinstance(goal, RigidTransform)):
         goal = transforms(learned.goal.rotation.as_matrix(), as_floats("the position of goal", goal, (3,)))
     begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
     q = None if start is None else arm.check_start(start)

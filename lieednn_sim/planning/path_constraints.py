@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import PlanError
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 # How far a motion may be outside its region [m, rad], as `TaskSpaceRegion.distance` measures it.
 KEPT_DISTANCE, KEPT_ANGLE = 5e-4, np.deg2rad(0.1)

@@ -34,13 +34,9 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 
     The function takes a `PlanningProblem`. It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its
     network, and raises `PlanError` if it finds none. Limits, clearance, start, target and the region to keep are
-    checked of every motion; if it is too fast, the function is called again with the duration that it needs. For worker
-    processes and the command line, an installed package declares its planners as entry points::
-
-        [project.entry-points."lieednn_sim.planners"]
-        my-planner = "my_package.my_module:my_function"
-
-    A function declared like this needs the decorator only if it takes options.
+    checked of every motion; if it is too fast, the function is called again with the duration that it needs. Worker
+    processes and the command line find planners that an installed package declares as entry points of the group
+    ``lieednn_sim.planners``; a function declared like this needs the decorator only if it takes options.
 
     Args:
         name: name of the planner, in lower-case letters, digits and hyphens.

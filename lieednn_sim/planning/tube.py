@@ -1,28 +1,10 @@
 """The tube of a plan: deviations of its network's state that are proved to end at the target without contact.
 
-Let the visible neurons of a certified network be off their planned states by d, at one instant on the way, while the
-hidden ones, and so the clock, are as planned. What is proved, for every d in the tube:
-
-1. The network ends at the target: its certificate holds for every state.
-2. The deviation never leaves the tube. In a cascade no neuron has an input from a visible one. So the inputs of the
-   visible neurons are as planned, and d' = -gamma d holds exactly, in each coordinate, at whatever instant d occurs.
-   In another network |d(t)| is at most the gain of
-   `stability.Robustness.push_gain` times |d(0)|, by contraction, and only deviations that much smaller are allowed.
-3. The joints stay near the plan: `arm.deviations` bounds how far the projection of the deviated twists onto the joints
-   is from that of the planned ones. Where it is found by least squares, the joints are those connected with the planned
-   ones, as `arm.local_retraction` finds them. Clipping joints to their position limits, as the policies do, brings two
-   positions no further apart, so limits do not bound the tube.
-4. Nothing touches: `arm.clearance_bounds` proves it for all joints that near to the plan. The statement is for the
-   continuous motion: it is covered by intervals of time, in each of which the motion's own speed and acceleration bound
-   how far the plan is from the joints in the middle; intervals are halved until the bound is sharp.
-
-The law of time maps the motion's time to the network's, the same for both, so the deviated motion obeys the same bound.
-
-Assumed: between its samples, which are a time step of the model apart, the motion is the cubic through their positions
-and velocities, and its states are no further from the nearer sample than samples are from each other; MuJoCo's
-kinematics, and geoms that are convex. Not covered: obstacles that move; pushes that change the clock or the law of
-time; starts that change a family's code (`LieEDNN.start`); limits of velocity and force on the way back; the error of a
-controller that tracks the deviated motion, unless it is given as ``tracking``.
+A deviation d of the visible neurons at one instant, the hidden ones being as planned, decays as d' = -gamma d in a
+cascade, and in another network stays below the gain of `stability.Robustness.push_gain`. `arm.deviations` bounds how
+far the joints then are from the plan, and `arm.clearance_bounds` how far what they move is from contact, on intervals
+of time that are halved until the bound is sharp. `docs/mathematics/tube.md` proves each step, and says what is assumed
+and what is not covered; the error of a controller that tracks the deviated motion is not, unless given as ``tracking``.
 """
 
 from __future__ import annotations

@@ -62,12 +62,8 @@ class PolicyTask:
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
     """Decorator that registers a function of a `PolicyTask` that makes a `Policy`, for `make_policy`.
 
-    An installed package declares its policies as entry points::
-
-        [project.entry-points."lieednn_sim.policies"]
-        my-policy = "my_package.my_module:my_function"
-
-    A function declared like this needs the decorator only if it takes options.
+    An installed package declares its policies as entry points of the group ``lieednn_sim.policies``; a function
+    declared like this needs the decorator only if it takes options.
 
     Args:
         name: name of the policy, in lower-case letters, digits and hyphens.

@@ -10,6 +10,7 @@ from PIL import Image as Picture
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning.motion import travelled
 from lieednn_sim.rendering.overlay import Overlay, draw_lines
 from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
@@ -80,11 +81,11 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
 
 def instants(path: Floats, count: int) -> list[int]:
     """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, or times if it has no length."""
-    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    if travelled[-1] < 1e-6:
-        travelled = np.linspace(0.0, 1.0, len(path))
-    lengths = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
-    return [int(k) for k in np.searchsorted(travelled, lengths)]
+    length = travelled(path)
+    if length[-1] < 1e-6:
+        length = np.linspace(0.0, 1.0, len(path))
+    wanted = np.linspace(0.0, 1.0, count) * length[-1] * (1.0 - 1e-9)
+    return np.searchsorted(length, wanted).tolist()
 
 
 typecheck_public(globals())

@@ -2,12 +2,7 @@
 
 With P = T^T T positive definite and full, and Q = S^2 positive and diagonal, the distance |e|_P = |T e|_2 of two
 solutions falls at the rate gamma - mu v for v = |T^-T S + T W S^-1|_2^2 / 4, which `verify_contraction` evaluates, with
-a bound on its rounding. For Q alone, the least v over all P is the largest of
-
-    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2.
-
-At a = 0 this is the left side of the diagonal Lyapunov condition with P = Q, which contraction therefore implies.
-`docs/mathematics/robustness.md` derives all this, and has its sources.
+a bound on its rounding. `docs/mathematics/robustness.md` derives this, and what is the least v for Q alone, over all P.
 """
 
 from __future__ import annotations

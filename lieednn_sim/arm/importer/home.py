@@ -136,10 +136,8 @@ def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[
     for name, value in home.items():
         joint = joints[as_choice("joint of the home configuration", name, joints)]
         if joint in leaders:
-            raise InputError(
-                f"joint {name!r} of the home configuration follows joint {model.joint(leaders[joint]).name!r}; give "
-                "the position of that one"
-            )
+            leader = model.joint(leaders[joint]).name
+            raise InputError(f"joint {name!r} of the home configuration follows joint {leader!r}; give its position")
         position = float(as_floats(f"home position of joint {name!r}", value, ()))
         low, high = joint_range(model, joint)
         if model.jnt_limited[joint] and not low <= position <= high:

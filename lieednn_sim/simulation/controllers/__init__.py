@@ -30,10 +30,8 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
 
     A controller is made from an arm and a reference; a function that returns one is also accepted. Its actions may set
     controls and mocap bodies; if they set the state or forces, the arm moves without its actuators. Worker processes
-    and the command line find controllers that an installed package names in its entry points::
-
-        [project.entry-points."lieednn_sim.controllers"]
-        my-controller = "my_package.my_module:MyController"
+    and the command line find controllers that an installed package declares as entry points of the group
+    ``lieednn_sim.controllers``.
 
     Args:
         name: lower-case letters, digits and hyphens.

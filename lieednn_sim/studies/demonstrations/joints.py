@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.table import Table
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
@@ -17,9 +17,6 @@ from lieednn_sim.learning.demonstrations.alignment import warp
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.studies.demonstrations.models import PathErrors, mean_of, path_errors
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rich.console import Group
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import cpu_time, one_blas_thread, report
@@ -19,9 +20,6 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 SAMPLES = 1000  # of each path, at equal steps of its length: as many as in the LASA data set
 
@@ -227,8 +225,6 @@ def mean_of(items: Sequence[Any]) -> Any:
 
 def models_table(rows: Sequence[ModelRow], *, turns: bool) -> Group:
     """Tables of a comparison for the terminal; ``turns`` if poses were recorded."""
-    from rich.console import Group
-
     angle = ["deg"] if turns else []
     errors = table("reproduction", "model", "path", "RMS mm", *angle, "DTWD mm", "Frechet mm", "goal mm")
     starts = table("models and starts elsewhere", "model", "parameters", "fit s", "arrived", "spurious attractors")

@@ -14,6 +14,7 @@ from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations
+from lieednn_sim.planning.motion import travelled
 from lieednn_sim.studies.demonstrations.models import random_starts, reproduction
 from lieednn_sim.values import Floats, StrPath
 
@@ -189,6 +190,5 @@ def _seen(displaced: Floats, view: list[int]) -> tuple[Floats, Floats]:
 
 
 def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:
-    steps = np.linalg.norm(np.diff(displaced, axis=0) * ([lever] * 3 + [1.0] * 3), axis=1)
-    length = np.concatenate([[0.0], np.cumsum(steps)])
+    length = travelled(displaced * ([lever] * 3 + [1.0] * 3))
     return length / length[-1], np.rad2deg(displaced[:, c])

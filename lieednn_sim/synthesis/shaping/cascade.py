@@ -1,13 +1,9 @@
 """The cascade: clock, soft switches and filter in closed form, and the certified network of its parameters.
 
-With gamma = mu = 1 the hidden neurons are h_n(t) = a_n + c_n g(t), where g falls from 1 to 0, and the visible ones
-
-    x_i(t) = x_d,i + (x_0,i - x_d,i) e^-t + sum_n alpha_in Ad(R_in, 0) Q[phi(a_n + c_n g) - phi(a_n)](t)
-
-with any activation phi and Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t is the hidden neurons' own decay. For
-rho < 1, a clock p' = -p + (1 - rho) phi(p) drives them with (1 - rho) phi(p), so that they follow it exactly: g is p
-over its start. In neither case does g depend on the parameters, so Q is one matrix, and no differential equation is
-solved when they change (`docs/mathematics/shaped.md`).
+With gamma = mu = 1 the hidden neurons are h_n = a_n + c_n g, where g falls from 1 to 0, and the visible ones are their
+outputs phi(h_n) through the filter Q = 1 / (1 + d/dt) from rest (`docs/mathematics/shaped.md`). For rho < 1 a clock
+drives the hidden neurons with (1 - rho) phi(p), so that they follow it exactly. As g does not depend on the parameters,
+Q is one matrix, and no differential equation is solved when they change.
 
 Pairs of opposite switches, phi(a + c g) and phi(-a - c g), bend a motion by their starts, for rho = 1, and are silent
 otherwise (`docs/mathematics/families.md`).
