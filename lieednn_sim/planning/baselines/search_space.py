@@ -48,8 +48,7 @@ class EdgeTest:
     def weighted(self) -> EdgeTest:
         """The same for points times `weight`."""
         result = copy.copy(self)
-        result.scale, result.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
-        result._density, result._known = self._density / self.weight, set()
+        result.scale, result._density, result._known = self.scale / self.weight, self._density / self.weight, set()
         return result
 
     def _inside(self, point: Floats) -> bool:
