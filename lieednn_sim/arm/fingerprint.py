@@ -90,6 +90,10 @@ def moves_alike(bare: mujoco.MjModel, model: mujoco.MjModel) -> bool:
         not sees
         and bare.ngeom == len(touching)
         and all(getattr(bare, name).tobytes() == getattr(model, name)[touching].tobytes() for name in _GEOMS)
-        and all(np.array_equal(getattr(bare.opt, name), getattr(model.opt, name)) for name in _OPTIONS)
-        and all(getattr(bare, name).tobytes() == getattr(model, name).tobytes() for name in _ARRAYS)
+        and all(_bytes(bare.opt, name) == _bytes(model.opt, name) for name in _OPTIONS)
+        and all(_bytes(bare, name) == _bytes(model, name) for name in _ARRAYS)
     )
+
+
+def _bytes(holder: Any, name: str) -> bytes:
+    return np.asarray(getattr(holder, name)).tobytes()

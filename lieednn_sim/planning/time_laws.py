@@ -172,11 +172,6 @@ class TimedCurve:
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
         self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
-    @cached_property
-    def _states(self) -> CubicSpline:
-        """The network's states along the path, as `q`."""
-        return CubicSpline(self._fraction, self._motion.xi[self._kept])
-
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
         law, window = self._switching(), 0.002
@@ -215,9 +210,9 @@ class TimedCurve:
     def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
         """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
         unit, path, limits = self._rate_limited
-        constraints = [*limits, *([] if near is None else [self._force_constraint(near, unit)])]
+        limits = limits if near is None else [*limits, self._force_constraint(near, unit)]
         topp = optional_module("toppra.algorithm").TOPPRA
-        solver = topp(constraints, path, gridpoints=self._grid, solver_wrapper="seidel")
+        solver = topp(limits, path, gridpoints=self._grid, solver_wrapper="seidel")
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
@@ -292,7 +287,7 @@ class TimedCurve:
         fraction = np.clip(law(t * pace), 0.0, 1.0)
         q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
         q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
-        xi = self._states(fraction)
+        xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
         xi[[0, -1]] = old.xi[[0, -1]]
         tau, translation, rotation = (
             make_interp_spline(self._fraction, values[kept], k=1)(fraction)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import Any
 
@@ -45,12 +46,12 @@ class EdgeTest:
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
-    def weighted(self) -> EdgeTest:
-        """The same for points times `weight`."""
-        result = copy.copy(self)
-        result.scale, result.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
-        result._density, result._known = self._density / self.weight, set()
-        return result
+    @property
+    def weighted(self) -> Callable[[Floats, Floats], bool]:
+        """`passable` for points times `weight`."""
+        test = copy.copy(self)
+        test.scale, test._density, test._known = self.scale / self.weight, self._density / self.weight, set()
+        return test.passable
 
     def _inside(self, point: Floats) -> bool:
         # No exception may pass through the library; when time is out nothing is free, so that it ends soon. Samples are

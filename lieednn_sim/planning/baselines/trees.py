@@ -108,10 +108,7 @@ def _samples(bounds: Floats, seed: int | np.random.SeedSequence) -> Iterator[Flo
 
 
 class _Tree:
-    """Points ``(M, n)``, their parents, and radii ``(M,)`` of their domains, infinite until an extension fails.
-
-    The arrays have room for more nodes, and twice as much when it is used up.
-    """
+    """Points, their parents, and radii of their domains, infinite until an extension fails; with room for more."""
 
     def __init__(self, root: Floats) -> None:
         self.points, self.radius, self._parents = np.empty((256, len(root))), np.full(256, np.inf), list[int]()
