@@ -69,9 +69,11 @@ class ClearanceBounds:
         self._moves = np.array(moves, dtype=bool).reshape(-1, model.njnt)[which]
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
-        # Which joints do not move a geom, and where a pair is in a table of all geoms.
-        self._still, (first, second) = (~self._moves.T).astype(float), self._collisions.pairs.T
-        self._place = first * model.ngeom + second
+        # Which joints do not move each group of geoms that move alike; and where each geom of a pair is with the other
+        # one's group in a table of geoms and groups.
+        alike, group = np.unique(self._moves, axis=0, return_inverse=True)
+        self._still, (first, second) = (~alike.T).astype(float), self._collisions.pairs.T
+        self._places = first * len(alike) + group.ravel()[second], second * len(alike) + group.ravel()[first]
         parts = moving_geoms(model) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
         self._parts, self._counted = parts, np.asarray(~parts[self._collisions.pairs].all(axis=1) | own)
 
@@ -137,9 +139,8 @@ class ClearanceBounds:
         x, y, z = (place.geoms[..., k, None] - place.anchors[:, None, :, k] for k in range(3))
         levers = np.sqrt(x * x + y * y + z * z) + self._radius[:, None]
         reach = np.where(self._turns, levers, 1.0) * self._moves
-        table = (reach * widest[:, None]) @ self._still
-        table += table.swapaxes(1, 2)
-        moved = table.reshape(len(q), -1).take(self._place, axis=1)
+        table = ((reach * widest[:, None]) @ self._still).reshape(len(q), -1)
+        moved = table.take(self._places[0], axis=1) + table.take(self._places[1], axis=1)
         at, index, gaps, points = self._collisions.separations(
             place.geoms, place.turns, moved + (cutoff + self._margin)
         )
@@ -328,7 +329,7 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
     hulls, counts, radii = np.zeros((model.ngeom, len(prism), 3)), np.ones(model.ngeom, int), np.zeros(model.ngeom)
     kinds = mujoco.mjtGeom
     for geom in range(model.ngeom):
-        kind, size, center = model.geom_type[geom], model.geom_size[geom], model.geom_aabb[geom, :3]
+        kind, size, center = kinds(model.geom_type[geom]), model.geom_size[geom], model.geom_aabb[geom, :3]
         if kind == kinds.mjGEOM_SPHERE:
             corners, radii[geom] = np.zeros((1, 3)), size[0]
         elif kind == kinds.mjGEOM_CAPSULE:
