@@ -38,7 +38,8 @@ class TaskSpaceRegion:
         offset: O, the pose of the end effector in the displaced frame.
 
     Raises:
-        InputError: a value is malformed, a lower bound is above the upper one, or an angle has one infinite bound.
+        InputError: a value is malformed, a lower bound is above the upper one, or an angle has one infinite bound, or a
+            finite one beyond a turn.
     """
 
     pose: RigidTransform
@@ -57,6 +58,8 @@ class TaskSpaceRegion:
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
             if "rotation" in what and np.isinf(low) != np.isinf(high):
                 raise InputError(f"{what} must have two finite bounds, or none, got {low:g} and {high:g}")
+            if "rotation" in what and 2.0 * np.pi < max(-low, high) < np.inf:
+                raise InputError(f"bounds of {what} are in radians, up to a turn or infinite, got {low:g} and {high:g}")
 
     def __repr__(self) -> str:
         units = np.repeat([1.0, 180.0 / np.pi], 3)
