@@ -35,6 +35,8 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
     that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
 
+    No servo is at fault where the reference ends elsewhere, such as that of a policy that has not arrived.
+
     A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
@@ -78,9 +80,14 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # where MuJoCo clips it
     ended = np.abs(constant_moments(model) @ basis) * (ends & (model.actuator_biasprm[:, 1] < 0.0))[:, None] > 1e-9
     reasons: list[list[str]] = [[] for _ in error]
+    aims = rollout.q_ref[-1] - rollout.target
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
     for j, off in enumerate(np.abs(error)):
+        if abs(aims[j]) > _LEAST_EXPLAINED * off:
+            reasons[j].append(f"its reference ends {arm.amount(j, aims[j])} off")
+            helpful[j] += ["a longer duration", "the end of the reference as the target, if it was to go there"]
+            continue
         unit = "N" if arm.unit(j) == "m" else "N m"
         stiffer = [design] if arm.import_report is not None and arm.import_report.servos[j].kept else []
         pull = min(stiffness[j] * off, limits[j])
