@@ -125,6 +125,11 @@ class Disturbances:
         check_fields(self, as_nonnegative, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")
 
+    def check_duration(self, end: float) -> None:
+        """Raise `InputError` for a push that would begin after the end of a run [s], as one in milliseconds does."""
+        if late := next((push for push in self.pushes if push.start >= end), None):
+            raise InputError(f"the push on {late.body!r} at {late.start:g} s begins after the run's end at {end:g} s")
+
     @property
     def conditions(self) -> list[str]:
         """How the arm and its sensors differ from what the controller knows, in words; empty if they do not."""

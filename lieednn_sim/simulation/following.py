@@ -99,6 +99,7 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = Disturbances() if disturbances is None else disturbances
+    changes.check_duration(total * arm.timestep)
     name = controller
     if name is None:
         name = default_controller(arm).replace("position-servo", "inverse-dynamics")

@@ -106,6 +106,7 @@ def simulate_many(
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     changes = Disturbances() if disturbances is None else disturbances
+    changes.check_duration(total * arm.timestep)
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}

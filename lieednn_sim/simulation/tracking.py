@@ -146,6 +146,7 @@ def simulate(
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
     changes = Disturbances() if disturbances is None else disturbances
+    changes.check_duration(np.inf if sequence else total * arm.timestep)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None

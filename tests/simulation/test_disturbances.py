@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.simulation import Disturbances, Push, Simulation, simulate
+from lieednn_sim.policies import make_policy
+from lieednn_sim.simulation import Disturbances, Push, Simulation, follow, simulate, simulate_many
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -105,6 +106,18 @@ def test_a_push_that_would_never_act_is_refused(arm, lasts):
     push = Push("end effector", (0.0, 100.0, 0.0), 0.1001, lasts)
     with pytest.raises(InputError, match="no step of the simulation begins; make it at least one time step"):
         Simulation(arm, disturbances=Disturbances(pushes=(push,)))
+
+
+def test_a_push_after_the_end_is_refused(arm, travel):
+    home, late = arm.keyframe("home"), Disturbances(pushes=(Push("end effector", (0.0, 100.0, 0.0), 1200.0, 100.0),))
+    motion, policy = travel(arm, home, home, 0.2), make_policy("tracker", arm, home)
+    for run in (
+        lambda: simulate(arm, motion, disturbances=late),
+        lambda: simulate_many(arm, [motion], disturbances=late),
+        lambda: follow(policy, home, 0.2, disturbances=late),
+    ):
+        with pytest.raises(InputError, match="'end effector' at 1200 s begins after the run's end at "):
+            run()
 
 
 def test_a_push_at_the_end_leaves_no_entry(arm, travel):
