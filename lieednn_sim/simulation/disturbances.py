@@ -125,11 +125,6 @@ class Disturbances:
         check_fields(self, as_nonnegative, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")
 
-    def check_duration(self, end: float) -> None:
-        """Raise `InputError` for a push that would begin after the end of a run [s], as one in milliseconds does."""
-        if late := next((push for push in self.pushes if push.start >= end), None):
-            raise InputError(f"the push on {late.body!r} at {late.start:g} s begins after the run's end at {end:g} s")
-
     @property
     def conditions(self) -> list[str]:
         """How the arm and its sensors differ from what the controller knows, in words; empty if they do not."""
@@ -149,6 +144,12 @@ class Disturbances:
             return cls(**{**value, "pushes": pushes, "obstacles": obstacles})
         except (KeyError, TypeError) as error:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
+
+
+def check_pushes(disturbances: Disturbances, end: float) -> None:
+    """Raise `InputError` for a push that would begin after the end of a run [s], as one in milliseconds does."""
+    if late := next((push for push in disturbances.pushes if push.start >= end), None):
+        raise InputError(f"the push on {late.body!r} at {late.start:g} s begins after the run's end at {end:g} s")
 
 
 def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:
