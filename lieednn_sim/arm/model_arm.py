@@ -78,12 +78,11 @@ class ModelArm(SerialArm):
 
     def __post_init__(self) -> None:
         check_fields(self, as_nonnegative, "clearance", "start_tolerance")
-        for name in LIMITS:
-            ranges = name == "position_limits"
-            check_fields(self, as_floats, name, shape=(self.n_joints, 2)[: 1 + ranges], largest=np.inf)
-            limits = getattr(self, name)
-            if (np.diff(limits) if ranges else limits).min(initial=0.0) < 0.0:
-                raise InputError(f"{name} must {'begin with the lower one' if ranges else 'not be negative'}")
+        check_fields(self, as_floats, "position_limits", shape=(self.n_joints, 2), largest=np.inf)
+        check_fields(self, as_floats, *LIMITS[1:], shape=(self.n_joints,), largest=np.inf)
+        for name in ("ranges", *LIMITS[1:]):
+            if getattr(self, name).min(initial=0.0) < 0.0:
+                raise InputError(f"{name} must not be negative")
 
     @classmethod
     def viewing(cls, model: mujoco.MjModel, data: mujoco.MjData, named: Mapping[str, Any], **more: Any) -> Self:

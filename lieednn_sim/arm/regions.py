@@ -56,10 +56,8 @@ class TaskSpaceRegion:
         for what, low, high in zip(coordinates, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
-            if "rotation" in what and np.isinf(low) != np.isinf(high):
-                raise InputError(f"{what} must have two finite bounds, or none, got {low:g} and {high:g}")
-            if "rotation" in what and 2.0 * np.pi < max(-low, high) < np.inf:
-                raise InputError(f"bounds of {what} are in radians, up to a turn or infinite, got {low:g} and {high:g}")
+            if "rotation" in what and (np.isinf(low) != np.isinf(high) or 2.0 * np.pi < max(-low, high) < np.inf):
+                raise InputError(f"{what} must have two bounds within a turn [rad], or none, got {low:g} and {high:g}")
 
     def __repr__(self) -> str:
         units = np.repeat([1.0, 180.0 / np.pi], 3)

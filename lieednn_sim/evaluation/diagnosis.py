@@ -34,7 +34,6 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
     feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
     that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
-
     No servo is at fault where the reference ends elsewhere, such as that of a policy that has not arrived.
 
     A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.

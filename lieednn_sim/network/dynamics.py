@@ -67,6 +67,10 @@ class Trajectory:
     xi: Floats
     _dense: OdeSolution | PPoly = field(repr=False)
 
+    def __repr__(self) -> str:
+        n, d = self.xi.shape[1:]
+        return f"<Trajectory: {n} neurons of {d} coordinates, {len(self.t)} steps from 0 to {self.t[-1]:g}>"
+
     def __call__(self, t: ArrayLike) -> Floats:
         """States ``(..., N, d)`` at times ``(...)`` inside the integrated range."""
         times = as_floats("t", t, (), batched=True)

@@ -156,17 +156,15 @@ def to_joint_trajectory(arm: Arm, like: Any, q: ArrayLike, qd: ArrayLike, period
     Raises:
         InputError: it is no such message, or a value is malformed.
     """
-    names, none = ("positions", "velocities", "accelerations", "effort"), np.empty(0)
-    values = [*(as_floats(name, value, (arm.n_joints,)) for name, value in (("q", q), ("qd", qd))), none, none]
-    nanoseconds = round(1e9 * as_positive("period", period))
+    values = as_floats("q", q, (arm.n_joints,)), as_floats("qd", qd, (arm.n_joints,)), np.empty(0), np.empty(0)
     try:
         message = copy.deepcopy(like)
         point = message.points[0]
         as_numpy = isinstance(point.positions, np.ndarray)
     except (AttributeError, IndexError, TypeError) as error:
         raise InputError(f"the message must be a trajectory_msgs/JointTrajectory with a point: {error}") from None
-    for name, content in zip(names, values, strict=True):
+    for name, content in zip(("positions", "velocities", "accelerations", "effort"), values, strict=True):
         setattr(point, name, content.copy() if as_numpy else array("d", content))
-    point.time_from_start.sec, point.time_from_start.nanosec = divmod(nanoseconds, 10**9)
+    point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * as_positive("period", period)), 10**9)
     message.joint_names, message.points = list(arm.joint_names), [point]
     return message
