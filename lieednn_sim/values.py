@@ -108,9 +108,8 @@ def _as_read_only(item: Any) -> Any:
 
 
 def _shown(item: Any) -> str:
-    long = len(text := " ".join(repr(item).split())) > 120
-    kind = f"{type(item).__name__} {getattr(item, 'shape', '')}".strip()
-    return f"<{kind}>" if long and not isinstance(item, str) else text
+    text, kind = " ".join(repr(item).split()), f"{type(item).__name__} {getattr(item, 'shape', '')}".strip()
+    return text if len(text) <= 120 or isinstance(item, str) else f"<{kind}>"
 
 
 def _equal(first: Any, second: Any) -> bool:

@@ -80,9 +80,8 @@ class ModelArm(SerialArm):
         check_fields(self, as_nonnegative, "clearance", "start_tolerance")
         check_fields(self, as_floats, "position_limits", shape=(self.n_joints, 2), largest=np.inf)
         check_fields(self, as_floats, *LIMITS[1:], shape=(self.n_joints,), largest=np.inf)
-        for name in ("ranges", *LIMITS[1:]):
-            if getattr(self, name).min(initial=0.0) < 0.0:
-                raise InputError(f"{name} must not be negative")
+        if wrong := [name for name in ("ranges", *LIMITS[1:]) if getattr(self, name).min(initial=0.0) < 0.0]:
+            raise InputError(f"{wrong[0]} must not be negative")
 
     @classmethod
     def viewing(cls, model: mujoco.MjModel, data: mujoco.MjData, named: Mapping[str, Any], **more: Any) -> Self:

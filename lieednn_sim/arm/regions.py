@@ -38,8 +38,7 @@ class TaskSpaceRegion:
         offset: O, the pose of the end effector in the displaced frame.
 
     Raises:
-        InputError: a value is malformed, a lower bound is above the upper one, or an angle has one infinite bound, or a
-            finite one beyond a turn.
+        InputError: a value is malformed, bounds cross, or an angle has one infinite bound, or one beyond a turn.
     """
 
     pose: RigidTransform

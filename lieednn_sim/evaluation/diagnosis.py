@@ -79,12 +79,11 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # where MuJoCo clips it
     ended = np.abs(constant_moments(model) @ basis) * (ends & (model.actuator_biasprm[:, 1] < 0.0))[:, None] > 1e-9
     reasons: list[list[str]] = [[] for _ in error]
-    aims = rollout.q_ref[-1] - rollout.target
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
     for j, off in enumerate(np.abs(error)):
-        if abs(aims[j]) > _LEAST_EXPLAINED * off:
-            reasons[j].append(f"its reference ends {arm.amount(j, aims[j])} off")
+        if abs(aim := rollout.q_ref[-1, j] - rollout.target[j]) > _LEAST_EXPLAINED * off:
+            reasons[j].append(f"its reference ends {arm.amount(j, aim)} off")
             helpful[j] += ["a longer duration", "the end of the reference as the target, if it was to go there"]
             continue
         unit = "N" if arm.unit(j) == "m" else "N m"

@@ -27,10 +27,9 @@ class ChunkStep:
     """A step of a LeRobot pipeline between a learned policy and the robot; each call is one control period.
 
     A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
-    of the joints, as a tensor if chunks or states are. What the observation has as ``observation.state`` are the
-    measured joints ``(n,)``, of one instant, where the policy starts, also after `reset`. Further columns, such as a
-    gripper's, are those of the present row of the chunk, and before the first one those of the first state. The
-    transition's info says what became of a chunk, as ``chunk``.
+    of the joints, as a tensor if chunks or states are. ``observation.state`` has the measured joints ``(n,)`` of one
+    instant, where the policy starts, also after `reset`. Further columns, such as a gripper's, are as in the chunk, and
+    before the first one as in the state. The info says what became of a chunk, as ``chunk``.
 
     Args:
         policy: the policy, whose rate is that of the calls.

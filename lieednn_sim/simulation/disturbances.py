@@ -146,10 +146,12 @@ class Disturbances:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
 
 
-def check_pushes(disturbances: Disturbances, end: float) -> None:
-    """Raise `InputError` for a push that would begin after the end of a run [s], as one in milliseconds does."""
-    if late := next((push for push in disturbances.pushes if push.start >= end), None):
+def before(end: float, disturbances: Disturbances | None) -> Disturbances:
+    """Those given, or none; `InputError` for a push that begins after the end of a run [s], as one in milliseconds."""
+    given = Disturbances() if disturbances is None else disturbances
+    if late := next((push for push in given.pushes if push.start >= end), None):
         raise InputError(f"the push on {late.body!r} at {late.start:g} s begins after the run's end at {end:g} s")
+    return given
 
 
 def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:
