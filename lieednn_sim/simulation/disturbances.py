@@ -146,11 +146,13 @@ class Disturbances:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
 
 
-def before(end: float, disturbances: Disturbances | None) -> Disturbances:
-    """Those given, or none; `InputError` for a push that begins after the end of a run [s], as one in milliseconds."""
+def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
+    """Those given, or none; `InputError` for a push that begins when a run is over [s], as one in milliseconds."""
     given = Disturbances() if disturbances is None else disturbances
-    if late := next((push for push in given.pushes if push.start >= end), None):
-        raise InputError(f"the push on {late.body!r} at {late.start:g} s begins after the run's end at {end:g} s")
+    # No step begins at the end; times are rounded to the nearest step.
+    if late := next((push for push in given.pushes if push.start >= end - 0.5 * timestep), None):
+        at = f"the push on {late.body!r} at {late.start:g} s"
+        raise InputError(f"{at} would begin when the run is over, at {end:g} s")
     return given
 
 

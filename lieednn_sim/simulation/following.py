@@ -98,7 +98,7 @@ def follow(
         SimulationError: as `simulate`.
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
-    changes = before(total * arm.timestep, disturbances)
+    changes = before(total * arm.timestep, arm.timestep, disturbances)
     name = controller
     if name is None:
         name = default_controller(arm).replace("position-servo", "inverse-dynamics")

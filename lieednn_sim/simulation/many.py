@@ -105,7 +105,7 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    changes = before(total * arm.timestep, disturbances)
+    changes = before((total - 1) * arm.timestep, arm.timestep, disturbances)
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}

@@ -145,7 +145,7 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    changes = before(np.inf if sequence else total * arm.timestep, disturbances)
+    changes = before(np.inf if sequence else (total - 1) * arm.timestep, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None
