@@ -23,8 +23,8 @@ _QUOTED = 80  # most characters of a refused value that are quoted
 MOST_ENTRIES = 2**27  # most entries of an array: a gibibyte of float64
 
 
-def _describe(shape: Iterable[int | str]) -> str:
-    return "(" + ", ".join(str(size) for size in shape) + ")"
+def _describe(shape: tuple[int | str, ...]) -> str:
+    return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
 
 
 def quoted(value: object) -> str:

@@ -28,17 +28,21 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
-    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies.
+    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies. Of
+    long fields the ``repr`` shows the kind alone, and the shape.
     """
-    result: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
+    result: Any = dataclass(frozen=True, eq=False, repr=False)(cls)
     initialise, names = result.__init__, [item.name for item in fields(result)]
-    compared = [item.name for item in fields(result) if item.compare]
+    compared, told = ([item.name for item in fields(result) if getattr(item, use)] for use in ("compare", "repr"))
 
     @wraps(initialise)
     def __init__(self: Any, *arguments: Any, **named: Any) -> None:
         initialise(self, *arguments, **named)
         for name in names:
             object.__setattr__(self, name, _as_read_only(getattr(self, name)))
+
+    def __repr__(self: Any) -> str:
+        return f"{type(self).__qualname__}({', '.join(f'{name}={_shown(getattr(self, name))}' for name in told)})"
 
     def __eq__(self: Any, other: object) -> Any:
         if type(other) is not type(self):
@@ -53,6 +57,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
         # Unpickled and deep-copied arrays are writable.
         vars(self).update({name: _as_read_only(item) for name, item in state.items()})
 
+    if cls.__repr__ is object.__repr__:
+        result.__repr__ = __repr__
     result.__init__, result.__eq__, result.__hash__, result.__setstate__ = __init__, __eq__, __hash__, __setstate__
     return result
 
@@ -99,6 +105,11 @@ def _as_read_only(item: Any) -> Any:
     elif type(item) is dict:
         return {key: _as_read_only(entry) for key, entry in item.items()}
     return item
+
+
+def _shown(item: Any) -> str:
+    text, kind = " ".join(repr(item).split()), f"{type(item).__name__} {getattr(item, 'shape', '')}".strip()
+    return text if len(text) <= 120 or isinstance(item, str) else f"<{kind}>"
 
 
 def _equal(first: Any, second: Any) -> bool:

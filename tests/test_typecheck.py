@@ -77,7 +77,7 @@ def test_what_works_without_the_check_works_with_it(given):
     ("given", "message"),
     [
         ({"number": "1"}, "number must be a number, got '1'"),
-        ({"number": np.zeros(1)}, "number must be a number, got an array of shape (1)"),
+        ({"number": np.zeros(1)}, "number must be a number, got an array of shape (1,)"),
         ({"count": True}, "count must be a whole number, got True"),
         ({"flag": 1}, "flag must be True or False, got 1"),
         ({"files": b"ab"}, "files must be a list, got b'ab'"),

@@ -25,7 +25,7 @@ def test_floats_accept_lists_integers_and_batches():
         (np.zeros((2, 6)), (4, 6), False, r"x must have shape \(4, 6\), got \(2, 6\)"),
         (np.zeros((2, 3)), ("n", "n"), False, r"\(n, n\), got \(2, 3\)"),
         (np.zeros((1, 4, 6)), ("N", 6), False, r"\(N, 6\), got \(1, 4, 6\)"),
-        (np.zeros(6), ("N", 6), True, r"\(\.\.\., N, 6\), got \(6\)"),
+        (np.zeros(6), ("N", 6), True, r"\(\.\.\., N, 6\), got \(6,\)"),
         (1.0, (3,), True, r"\(\.\.\., 3\), got \(\)"),
         ([1.0, np.nan, -np.inf], (3,), False, r"got 2 NaN or infinite entries, the first at \[1\]"),
         (float("nan"), (), False, "x must be finite, got nan$"),
@@ -60,7 +60,7 @@ def test_no_entry_may_be_larger_than_the_largest_and_many_may_be_as_large(larges
     ("check", "value", "words"),
     [
         *((as_positive, value, f"x must be positive, got {value:g}") for value in (0.0, -2.5)),
-        (as_positive, [1.0], r"\(\), got \(1\)"),
+        (as_positive, [1.0], r"\(\), got \(1,\)"),
         (as_count, 0, "x must be at least 1, got 0"),
         *((as_count, value, "whole number, got") for value in (2.0, True, "3")),
     ],

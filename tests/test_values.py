@@ -113,6 +113,7 @@ def test_values_by_hand():
     # What was handed over is still the caller's.
     given_array[0] = 0.0
     assert repr(result).endswith("Result(x=array([0., 0., 0.]), note='', error=0.0)")
+    assert repr(Result(np.zeros((50, 3)))).endswith("Result(x=<ndarray (50, 3)>, note='', error=0.0)")
     assert result == Result(np.zeros(3))
     assert result != Result(np.zeros(3), "other")
     assert result != "a string"

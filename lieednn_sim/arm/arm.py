@@ -177,7 +177,7 @@ class Arm(ModelArm):
         named = {what: value for what, value in named.items() if value is not None}
         if said := without_clearance(model):
             warnings.warn(said, stacklevel=3)  # through the check of arguments
-        more = {"clearance": float(as_floats("clearance", clearance, ())), "state": state_of(model, data)}
+        more = {"clearance": clearance, "state": state_of(model, data)}
         own = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
         name = "arm" if own in ("", "MuJoCo Model") else own
         return cls.viewing(model, data, named, name=name, source=Path("a compiled model"), spec=None, **more)

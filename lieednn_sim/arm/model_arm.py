@@ -24,8 +24,8 @@ from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import rotations
-from lieednn_sim.validation import as_choice, as_count, as_floats
-from lieednn_sim.values import Floats
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_nonnegative
+from lieednn_sim.values import Floats, check_fields
 
 #: The limits of an arm, by the names of its fields.
 LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
@@ -56,6 +56,9 @@ class ModelArm(SerialArm):
         payload: mass at the end effector's frame [kg], part of `model` (`Arm.with_payload`).
         dependents: of a view, the joints that it moves by closed loops or curves, if any.
         stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
+
+    Raises:
+        InputError: a clearance, tolerance or limit is negative or NaN, as none would be kept, or of another shape.
     """
 
     recipe: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()
@@ -72,6 +75,13 @@ class ModelArm(SerialArm):
     payload: float = 0.0
     dependents: Dependents | None = None
     stops: Stops | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, as_nonnegative, "clearance", "start_tolerance")
+        check_fields(self, as_floats, "position_limits", shape=(self.n_joints, 2), largest=np.inf)
+        check_fields(self, as_floats, *LIMITS[1:], shape=(self.n_joints,), largest=np.inf)
+        if wrong := [name for name in ("ranges", *LIMITS[1:]) if getattr(self, name).min(initial=0.0) < 0.0]:
+            raise InputError(f"{wrong[0]} must not be negative")
 
     @classmethod
     def viewing(cls, model: mujoco.MjModel, data: mujoco.MjData, named: Mapping[str, Any], **more: Any) -> Self:

@@ -227,7 +227,7 @@ def read_pose(entry: dict[str, Any]) -> dict[str, Any]:
     pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}
     if "rpy" in entry:
         quaternion = np.zeros(4)
-        mujoco.mju_euler2Quat(quaternion, as_floats("rpy", entry["rpy"], (3,)), "XYZ")
+        mujoco.mju_euler2Quat(quaternion, as_floats("rpy, in radians,", entry["rpy"], (3,), largest=2.0 * np.pi), "XYZ")
         pose["quat"] = quaternion
     elif "quaternion" in entry:
         pose["quat"] = as_floats("quaternion", entry["quaternion"], (4,))

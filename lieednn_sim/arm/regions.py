@@ -38,7 +38,7 @@ class TaskSpaceRegion:
         offset: O, the pose of the end effector in the displaced frame.
 
     Raises:
-        InputError: a value is malformed, a lower bound is above the upper one, or an angle has one infinite bound.
+        InputError: a value is malformed, bounds cross, or an angle has one infinite bound, or one beyond a turn.
     """
 
     pose: RigidTransform
@@ -55,8 +55,8 @@ class TaskSpaceRegion:
         for what, low, high in zip(coordinates, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
-            if "rotation" in what and np.isinf(low) != np.isinf(high):
-                raise InputError(f"{what} must have two finite bounds, or none, got {low:g} and {high:g}")
+            if "rotation" in what and (np.isinf(low) != np.isinf(high) or 2.0 * np.pi < max(-low, high) < np.inf):
+                raise InputError(f"{what} must have two bounds within a turn [rad], or none, got {low:g} and {high:g}")
 
     def __repr__(self) -> str:
         units = np.repeat([1.0, 180.0 / np.pi], 3)

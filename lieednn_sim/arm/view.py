@@ -57,7 +57,9 @@ def read_view(
         NoSolutionError: the state is not near a solution of the equalities, or at a dead centre.
     """
     if (joints is None) == (links is None) or (links is not None and tip is not None):
-        raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
+        raise InputError(
+            "name the arm's joints (joints=[...]), and its tip if you like, or its links (links=[...]), not both"
+        )
     if not (joints if links is None else links):
         raise InputError("joints must name at least one joint, or links at least one body or site")
     check_rates(limits)

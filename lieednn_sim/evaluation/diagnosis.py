@@ -34,6 +34,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
     feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
     that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
+    No servo is at fault where the reference ends elsewhere, such as that of a policy that has not arrived.
 
     A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
     """
@@ -81,6 +82,10 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
     for j, off in enumerate(np.abs(error)):
+        if abs(aim := rollout.q_ref[-1, j] - rollout.target[j]) > _LEAST_EXPLAINED * off:
+            reasons[j].append(f"its reference ends {arm.amount(j, aim)} off")
+            helpful[j] += ["a longer duration", "the end of the reference as the target, if it was to go there"]
+            continue
         unit = "N" if arm.unit(j) == "m" else "N m"
         stiffer = [design] if arm.import_report is not None and arm.import_report.servos[j].kept else []
         pull = min(stiffness[j] * off, limits[j])

@@ -79,8 +79,8 @@ class Policy(ABC):
             Read-only joint coordinates and rates ``(n,)``; between two periods a controller may interpolate by a cubic.
 
         Raises:
-            InputError: a value is malformed, the target is beyond the position limits, or the policy was never reset
-                and nothing is measured.
+            InputError: a value is malformed, the target is beyond the position limits, the joints measured first are
+                so by more than a range, or the policy was never reset and nothing is measured.
         """
         shape = (self.arm.n_joints,)
         seen = None if measured is None else as_floats("measured", measured, shape)
@@ -93,6 +93,11 @@ class Policy(ABC):
                 if seen is None:
                     raise InputError("it is not known where the arm is: call reset(q), or give measured joints")
                 self.reset(seen)
+            if seen is not None and self._target is None:
+                # No sensor's noise is that large; later, a wrong value shall not end a loop that runs.
+                far = self.arm.limit_excess(seen)[: len(seen)] > self.arm.ranges
+                if far.any():
+                    raise InputError(f"measured is in other units: {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:

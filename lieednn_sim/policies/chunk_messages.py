@@ -27,9 +27,9 @@ class ChunkStep:
     """A step of a LeRobot pipeline between a learned policy and the robot; each call is one control period.
 
     A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
-    of the joints, as a tensor if chunks are tensors. What the observation has as ``observation.state`` are the measured
-    joints, where the policy starts, also after `reset`. Further columns of both, such as a gripper's, stay as they are.
-    The transition's info says what became of a chunk, as ``chunk``.
+    of the joints, as a tensor if chunks or states are. ``observation.state`` has the measured joints ``(n,)`` of one
+    instant, where the policy starts, also after `reset`. Further columns, such as a gripper's, are as in the chunk, and
+    before the first one as in the state. The info says what became of a chunk, as ``chunk``.
 
     Args:
         policy: the policy, whose rate is that of the calls.
@@ -60,17 +60,22 @@ class ChunkStep:
         """The transition with the reference of this period as its action; raises `InputError` as the policy does."""
         policy, n, result = self.policy, len(self._scale), dict(transition)
         state = (transition.get("observation") or {}).get("observation.state")
-        measured = None if state is None else np.asarray(state, dtype=float).reshape(-1)[:n] * self._scale
+        measured = None
+        if state is not None:
+            seen = np.atleast_1d(np.asarray(state, dtype=float))
+            seen = seen.ravel() if seen.size == seen.shape[-1] else seen
+            measured = as_floats("observation.state", seen[..., :n], (n,)) * self._scale
         if self._stay is None:
             if measured is not None:
                 policy.reset(measured)
+                self._like, self._more = getattr(state, "new_tensor", self._like), (0.0, seen[None, n:])
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
             self._like, targets = getattr(chunk, "new_tensor", np.asarray), np.asarray(chunk, dtype=float)
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
             delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
-            begin = policy.now - float(delay)
+            begin = policy.now - as_nonnegative("delay", np.squeeze(delay))
             verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)
             if verdict.accepted:
                 self._more = begin, targets[:, n:]
@@ -148,17 +153,17 @@ def to_joint_trajectory(arm: Arm, like: Any, q: ArrayLike, qd: ArrayLike, period
         period: time until then [s].
 
     Raises:
-        InputError: it is no such message.
+        InputError: it is no such message, or a value is malformed.
     """
+    values = as_floats("q", q, (arm.n_joints,)), as_floats("qd", qd, (arm.n_joints,)), np.empty(0), np.empty(0)
     try:
         message = copy.deepcopy(like)
         point = message.points[0]
         as_numpy = isinstance(point.positions, np.ndarray)
     except (AttributeError, IndexError, TypeError) as error:
         raise InputError(f"the message must be a trajectory_msgs/JointTrajectory with a point: {error}") from None
-    for name, values in {"positions": q, "velocities": qd, "accelerations": (), "effort": ()}.items():
-        content = np.array(values, dtype=float)
-        setattr(point, name, content if as_numpy else array("d", content))
-    point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * period), 10**9)
+    for name, content in zip(("positions", "velocities", "accelerations", "effort"), values, strict=True):
+        setattr(point, name, content.copy() if as_numpy else array("d", content))
+    point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * as_positive("period", period)), 10**9)
     message.joint_names, message.points = list(arm.joint_names), [point]
     return message

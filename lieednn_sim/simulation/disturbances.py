@@ -146,6 +146,16 @@ class Disturbances:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
 
 
+def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
+    """Those given, or none; `InputError` for a push that begins when a run is over [s], as one in milliseconds."""
+    given = Disturbances() if disturbances is None else disturbances
+    # No step begins at the end; times are rounded to the nearest step.
+    if late := next((push for push in given.pushes if push.start >= end - 0.5 * timestep), None):
+        at = f"the push on {late.body!r} at {late.start:g} s"
+        raise InputError(f"{at} would begin when the run is over, at {end:g} s")
+    return given
+
+
 def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:
     given = {name: getattr(disturbances, name) for name in words}
     return [words[name].format(value) for name, value in given.items() if value != getattr(Disturbances, name)]

@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.policies import Policy
 from lieednn_sim.policies.base import has_jumped
-from lieednn_sim.simulation.disturbances import Disturbances
+from lieednn_sim.simulation.disturbances import Disturbances, before
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
 from lieednn_sim.simulation.rollout import Rollout
@@ -98,7 +98,7 @@ def follow(
         SimulationError: as `simulate`.
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
-    changes = Disturbances() if disturbances is None else disturbances
+    changes = before(total * arm.timestep, arm.timestep, disturbances)
     name = controller
     if name is None:
         name = default_controller(arm).replace("position-servo", "inverse-dynamics")

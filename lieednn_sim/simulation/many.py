@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers.base import Controller
-from lieednn_sim.simulation.disturbances import Disturbances
+from lieednn_sim.simulation.disturbances import Disturbances, before
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
@@ -105,7 +105,7 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    changes = Disturbances() if disturbances is None else disturbances
+    changes = before((total - 1) * arm.timestep, arm.timestep, disturbances)
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}

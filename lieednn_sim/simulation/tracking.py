@@ -23,7 +23,7 @@ from lieednn_sim.planning.steps import Gripping
 from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
-from lieednn_sim.simulation.disturbances import Disturbances
+from lieednn_sim.simulation.disturbances import Disturbances, before
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
@@ -145,7 +145,7 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    changes = Disturbances() if disturbances is None else disturbances
+    changes = before(np.inf if sequence else (total - 1) * arm.timestep, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None

@@ -81,7 +81,7 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
         given, target = outputs[:, part], required[:, part]
         if given.any():
             if (given * (target - given)).min() >= 0.0:
-                lacking = f"no {name} coordinate has its bias on the side of its target"
+                lacking = f"no {name} coordinate has a bias large enough on the side of its target"
                 way = "use the sign-matched bias or retarget a certified network"
                 return f"{lacking}, so no diagonal Lyapunov matrix can exist; {way}"
             return None  # nonzero rotations may drive the translations through t

@@ -1,5 +1,6 @@
 """Every arm: kinematics against MuJoCo's own, encoding, retraction, and the contract of the model files."""
 
+import dataclasses
 import itertools
 import sys
 
@@ -226,6 +227,24 @@ def test_errors_name_what_is_allowed(arm, tmp_path):
     broken.write_text("<mujoco><worldbody/></mujoco>")
     with pytest.raises(InputError, match="no hinge, slide or ball joint"):
         Arm.from_xml(broken)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        # With either, a plan went through a wall, and no limit held.
+        ({"clearance": -1.0}, "clearance must not be negative, got -1"),
+        ({"clearance": np.nan}, "clearance must be finite, got nan"),
+        ({"start_tolerance": -1e-3}, "start_tolerance must not be negative"),
+        ({"velocity_limits": np.full(4, np.nan)}, "velocity_limits must be finite"),
+        ({"acceleration_limits": -np.ones(4)}, "acceleration_limits must not be negative"),
+        ({"force_limits": np.ones(3)}, r"force_limits must have shape \(4,\), got \(3,\)"),
+        ({"position_limits": np.array([[1.0, -1.0]] * 4)}, "ranges must not be negative"),
+    ],
+)
+def test_what_would_let_an_arm_go_anywhere_is_refused(gantry, changes, message):
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(gantry, **changes)
 
 
 def test_limits_of_the_gantry(gantry):

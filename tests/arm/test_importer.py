@@ -520,3 +520,10 @@ def test_limits_that_may_be_degrees_are_told(tmp_path, two_hinges):
     notes = arm_of(wide, floor="none")[1].notes
     assert "a may turn 28.6 times about: are its limits in degrees?" in notes
     assert not any("degrees?" in note for note in arm_of(two_hinges, floor="none")[1].notes)
+    quarter = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>' + (
+        '<child link="b"/><origin rpy="0 {} 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint></robot>'
+    )
+    for angle, told in ((90, True), (1.5708, False)):
+        (tmp_path / "r.urdf").write_text(quarter.format(angle))
+        said = Arm.load(tmp_path / "r.urdf").import_report.notes
+        assert (f"an origin of the URDF has rpy='0 {angle} 0': are its angles in degrees?" in said) == told

@@ -80,7 +80,12 @@ def test_a_line_and_a_box_by_hand():
     ("lower", "upper", "message"),
     [
         ([0] * 6, [1, 1, -1, 1, 1, 1], "lower bound of z must not be above the upper one, got 0 and -1"),
-        ([0, 0, 0, -np.inf, 0, 0], [1] * 6, "rotation about x must have two finite bounds, or none"),
+        ([0, 0, 0, -np.inf, 0, 0], [1] * 6, "rotation about x must have two bounds within a turn"),
+        (
+            [0, 0, 0, 0, -90, 0],
+            [0, 0, 0, 0, 90, 0],
+            "rotation about y must .* a turn .* got -90 and 90",
+        ),
         ([np.inf] + [0] * 5, [np.inf] + [0] * 5, "lower bound of x must not be above"),
         ([[0], 0, 0, 0, 0, 0], [0] * 6, "lower must be an array of numbers"),
     ],

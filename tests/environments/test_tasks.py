@@ -311,7 +311,7 @@ def test_malformed_actions_and_options(reach):
     with pytest.raises(InputError, match="has not been reset"):
         Expert(make_task("track")).act()
     reach.begin(np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"action must have shape \(8\), got \(7\)"):
+    with pytest.raises(InputError, match=r"action must have shape \(8,\), got \(7,\)"):
         reach.step(np.zeros(7))
     with pytest.raises(InputError, match="action must be finite, got 1 NaN"):
         reach.step(np.array([np.nan, *np.zeros(7)]))

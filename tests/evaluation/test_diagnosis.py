@@ -110,11 +110,17 @@ def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
     rollout, limit = simulate(gantry, motion, controller="inverse-dynamics"), gantry.force_limits[0]
     force = 0.9 * np.abs(rollout.force)
     force[:, 0] = -np.where(np.arange(len(force)) % 4 == 0, limit, 0.9 * limit)
-    off = replace(rollout, force=force, target=rollout.q[-1] - [0.05, 0.0, 0.0, np.deg2rad(7.0)])
+    target = rollout.q[-1] - [0.05, 0.0, 0.0, np.deg2rad(7.0)]
+    off = replace(rollout, force=force, target=target, q_ref=rollout.q_ref - rollout.q_ref[-1] + target, motion=None)
     turn, x, _ = error_causes(off)
     assert turn.startswith("joint 'turn' ends 7 degrees off, which alone moves a link by 0 mm and 7 degrees")
     assert x.startswith("joint 'x' ends 50 mm off, which alone moves a link by 50 mm and 0 degrees")
     assert f"its force limit of {limit:.3g} N is reached in 25 % of the time" in x
+    # The same error of a joint whose reference goes elsewhere, as that of a policy does that has not arrived.
+    turn, x, helps = error_causes(replace(off, q_ref=rollout.q_ref))
+    assert x.endswith("its reference ends 50 mm off")
+    assert turn.endswith("its reference ends 7 degrees off")
+    assert helps.startswith("what helps: a longer duration, or the end of the reference")
 
 
 POST = '<geom name="post" type="box" size=".1 .3 .3" pos=".5 0 0" solref=".004 1"/></worldbody>'

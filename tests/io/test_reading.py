@@ -224,6 +224,13 @@ def test_scenes_that_hold_too_much_or_no_numbers(tmp_path, text, message):
     assert len(str(caught.value)) < 500
 
 
+@pytest.mark.parametrize("text", ["obstacles: [1]\ngoals: []\nobstacles: [2]", "a: {b: 1, 'b': 2}"])
+def test_what_is_in_yaml_twice_is_refused(text):
+    with pytest.raises(ValueError, match=r"'(obstacles|b)' is there twice in what begins in line 1"):
+        reading.parse_yaml(text.encode())
+    assert reading.parse_yaml(b"a: &x {b: 1}\nc: {<<: *x, b: 2}") == {"a": {"b": 1}, "c": {"b": 2}}
+
+
 def test_powers_of_ten_are_numbers_in_yaml(tmp_path):
     """As in YAML 1.2; PyYAML takes them for texts."""
     path = tmp_path / "scene.yaml"

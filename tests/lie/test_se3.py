@@ -139,7 +139,7 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
         (lambda: hat(np.zeros(4)), r"\(\.\.\., 3\) or \(\.\.\., 6\), got \(4,\)"),
         (lambda: hat([0.0, np.nan, 0.0]), "vector must be finite, got 1"),
         (lambda: vee(np.zeros((3, 4))), r"\(\.\.\., 4, 4\), got \(3, 4\)"),
-        (lambda: exp(np.zeros(5)), r"twist must have shape \(\.\.\., 6\), got \(5\)"),
+        (lambda: exp(np.zeros(5)), r"twist must have shape \(\.\.\., 6\), got \(5,\)"),
         (lambda: left_jacobian_so3(np.zeros(6)), r"omega must have shape \(\.\.\., 3\)"),
         (lambda: adjoint(np.eye(3)), "adjoint needs a pose, or a rotation and a translation"),
         (lambda: adjoint(np.zeros((2, 3, 3)), np.zeros((3, 3))), r"share their leading axes, got \(2, 3, 3\)"),

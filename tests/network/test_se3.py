@@ -253,7 +253,7 @@ def test_tampered_files_are_refused(tmp_path, change, words):
         ),
         ({"gamma": 0.0}, "gamma must be positive, got 0"),
         ({"activation": "relu"}, "allowed: .*tanh"),
-        ({"lyapunov_diagonal": np.ones(18)}, r"lyapunov_diagonal must have shape \(9\), got \(18\)"),
+        ({"lyapunov_diagonal": np.ones(18)}, r"lyapunov_diagonal must have shape \(9,\), got \(18,\)"),
     ],
 )
 def test_wrong_parts_are_named(change, words):
@@ -264,7 +264,7 @@ def test_wrong_parts_are_named(change, words):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda n: n.vector_field(np.zeros(18)), r"xi must have shape \(\.\.\., 3, 6\), got \(18\)"),
+        (lambda n: n.vector_field(np.zeros(18)), r"xi must have shape \(\.\.\., 3, 6\), got \(18,\)"),
         (lambda n: n.equilibrium(np.full((3, 6), np.nan)), "start must be finite"),
         (lambda n: n.retarget(np.zeros((2, 6))), r"xi must have shape \(3, 6\), got \(2, 6\)"),
         (lambda n: n.trajectory(np.zeros((3, 6)), 0.0), "duration must be positive"),

@@ -82,7 +82,7 @@ def test_of_all_goals_of_a_set_the_one_reached_soonest_comes_first(arm, monkeypa
     [
         ([], InputError, "target must hold at least one goal, got an empty list"),
         (np.zeros((2, 3)), InputError, r"target must have shape \(m, 8\), got \(2, 3\); a pose is a scipy"),
-        ([np.zeros(8), np.zeros(3)], InputError, r"target 1 must have shape \(8\), got \(3\)"),
+        ([np.zeros(8), np.zeros(3)], InputError, r"target 1 must have shape \(8,\), got \(3,\)"),
         (["home", "nowhere"], InputError, "no keyframe 'nowhere'"),
         (GRID, InputError, r"a pose or poses of shape \(m,\), got \(2, 2\)"),
         (FAR, NoSolutionError, r"cannot reach \(9, 0, 1\) m: the closest .* found is 6\.26 m away"),

@@ -108,7 +108,7 @@ def test_recordings_that_do_not_begin_at_rest_are_given_time_to():
 
 
 def test_what_cannot_be_done_says_why(learned):
-    with pytest.raises(InputError, match=r"the position of goal must have shape \(3\), got \(8\)"):
+    with pytest.raises(InputError, match=r"the position of goal must have shape \(3,\), got \(8,\)"):
         ls.plan_learned(ARM, learned, goal=ARM.keyframe("home"))
     far = transforms(np.eye(3), np.array([9.0, 0.0, 0.0]))
     with pytest.raises(

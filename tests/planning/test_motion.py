@@ -146,7 +146,7 @@ def test_bad_input(arm, network):
     for duration in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="duration"):
             make_motion(arm, network, home, duration, 0.002)
-    with pytest.raises(InputError, match=r"start must have shape \(8\)"):
+    with pytest.raises(InputError, match=r"start must have shape \(8,\)"):
         make_motion(arm, network, home[:3], 1.0, 0.002)
     small = synthesize(np.full((2, 6), 0.3), bias="sign-matched").unwrap()
     with pytest.raises(InputError, match=r"2 visible neurons.*4 links"):

@@ -42,7 +42,7 @@ def expected(*accepted, periods):
 def test_a_step_of_a_pipeline_is_the_policy_in_degrees_with_a_gripper():
     gripper = np.linspace(0.0, 1.0, 40)[:, None]
     step = ChunkStep(ChunkPolicy(ARM, 50.0), 0.02, delay=0.04, degrees=True)
-    state, rows = np.append(HOME * DEGREES, 0.0), []
+    state, rows = np.append(HOME * DEGREES, 0.4), []
     for k in range(30):
         chunk = np.hstack([CHUNK * DEGREES, gripper])[None].view(Tensor) if k == 5 else None
         given = {"observation": {"observation.state": state}, "action": chunk, "info": {"mine": 1}}
@@ -50,11 +50,11 @@ def test_a_step_of_a_pipeline_is_the_policy_in_degrees_with_a_gripper():
         assert result["info"] == ({"mine": 1, "chunk": "accepted"} if k == 5 else {"mine": 1})
         assert isinstance(result["action"], Tensor) == (k >= 5)
         state = np.asarray(result["action"], dtype=float)
-        state = state if k >= 5 else np.append(state, 0.0)
         rows.append(state)
     rows = np.array(rows)
     np.testing.assert_allclose(rows[:, :8] / DEGREES, expected((5, CHUNK, 0.1 - 0.04), periods=30), atol=1e-6)
-    # The gripper's column, at the end of the period: the chunk began 0.06 s after the start.
+    # The gripper's column: first that of the state; then at the end of the period, and the chunk began after 0.06 s.
+    np.testing.assert_allclose(rows[:5, 8], 0.4)
     np.testing.assert_allclose(rows[5:, 8], gripper[np.arange(3, 28), 0], atol=1e-6)
 
 
@@ -69,7 +69,15 @@ def test_a_transition_has_its_own_delay_and_a_refused_chunk_says_why():
     # Of two robots.
     assert step({"action": np.stack([CHUNK, CHUNK])})["info"]["chunk"].startswith("refused; shape: chunk")
     step.reset()
-    np.testing.assert_allclose(step({"observation": {"observation.state": TO}})["action"], TO, atol=1e-9)
+    # Before a chunk it is a tensor if the state, here in a batch, is one.
+    first = step({"observation": {"observation.state": TO[None].view(Tensor)}})["action"]
+    assert isinstance(first, Tensor)
+    np.testing.assert_allclose(first, TO, atol=1e-6)
+    # The last two states, as some policies see them: the first row would be the older one.
+    with pytest.raises(InputError, match=r"observation.state must have shape \(8,\), got \(2, 8\)"):
+        step({"observation": {"observation.state": np.stack([HOME, TO])}})
+    with pytest.raises(InputError, match="delay must not be negative"):
+        step({"action": CHUNK, "complementary_data": {"delay": -0.1}})
 
 
 def test_pipelines_of_an_abstract_base_class_take_the_step(monkeypatch):
@@ -121,6 +129,9 @@ def test_a_reference_is_a_message_of_the_library_of_another():
     np.testing.assert_array_equal([point.positions, point.velocities], [HOME, 0.1 * TO])
     assert (point.time_from_start.sec, point.time_from_start.nanosec) == (0, 20_000_000)
     assert (len(like.points), again.joint_names) == (2, list(ARM.joint_names))
+    for given in ((HOME[:7], TO, 0.02), (HOME, TO * np.nan, 0.02), (HOME, TO, -1.0)):
+        with pytest.raises(InputError, match="must"):
+            to_joint_trajectory(ARM, like, *given)
 
 
 @dataclass

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.simulation import Disturbances, Push, Simulation, simulate
+from lieednn_sim.policies import make_policy
+from lieednn_sim.simulation import Disturbances, Push, Simulation, follow, simulate, simulate_many
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -107,11 +108,24 @@ def test_a_push_that_would_never_act_is_refused(arm, lasts):
         Simulation(arm, disturbances=Disturbances(pushes=(push,)))
 
 
-def test_a_push_at_the_end_leaves_no_entry(arm, travel):
-    """No step begins at the last sample."""
-    home = arm.keyframe("home")
-    pushes = tuple(Push("end effector", (0.0, 100.0, 0.0), begin, 1.0) for begin in (1.197, 1.1995, 1.2))
-    rollout = simulate(arm, travel(arm, home, home, 0.2), disturbances=Disturbances(pushes=pushes))
+@pytest.mark.parametrize("begin", [1200.0, 1.1995])  # in milliseconds; and no step of the run begins then
+def test_a_push_after_the_end_is_refused(arm, travel, begin):
+    home, late = arm.keyframe("home"), Disturbances(pushes=(Push("end effector", (0.0, 100.0, 0.0), begin, 100.0),))
+    motion, policy = travel(arm, home, home, 0.2), make_policy("tracker", arm, home)
+    for run in (
+        lambda: simulate(arm, motion, disturbances=late),
+        lambda: simulate_many(arm, [motion], disturbances=late),
+        lambda: follow(policy, home, 1.2, disturbances=late),
+    ):
+        with pytest.raises(
+            InputError, match=rf"'end effector' at {begin:g} s would begin when the run is over, at 1\.2 s"
+        ):
+            run()
+
+
+def test_a_push_in_the_last_step_has_an_entry(arm, travel):
+    home, push = arm.keyframe("home"), Push("end effector", (0.0, 100.0, 0.0), 1.197, 1.0)
+    rollout = simulate(arm, travel(arm, home, home, 0.2), disturbances=Disturbances(pushes=(push,)))
     assert rollout.t[-1] == pytest.approx(1.2)
     assert [push.start_s for push in evaluate(rollout).recoveries] == [1.197]
 

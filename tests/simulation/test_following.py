@@ -7,7 +7,7 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import evaluate_following
+from lieednn_sim.evaluation import evaluate, evaluate_following
 from lieednn_sim.policies import NetworkPolicy
 from lieednn_sim.simulation import Disturbances, Push, follow, following
 from lieednn_sim.synthesis import synthesize
@@ -130,6 +130,8 @@ def test_bad_input(arm, network):
         follow(policy, np.zeros((0, 8)), 1.0)
     with pytest.raises(InputError, match="policy must be a Policy"):
         follow(network, home, 1.0)
+    with pytest.raises(InputError, match=r"rollout must be a Rollout, got a Following; give its \.rollout"):
+        evaluate(follow(policy, home, 0.1))
 
 
 @pytest.mark.parametrize("controller", ["inverse-dynamics", "mocap"])

@@ -156,7 +156,7 @@ def test_the_time_budget_is_kept(monkeypatch):
     [
         ({"xi": np.zeros((4, 6))}, r"xi must have shape \(B, N, 6\), got \(4, 6\)"),
         ({"bias": np.zeros((4, 6))}, r"bias must have shape \(3, 4, 6\), got \(4, 6\)"),
-        ({"bias_magnitude": [0.1, 0.2]}, r"bias_magnitude must have shape \(3\), got \(2\)"),
+        ({"bias_magnitude": [0.1, 0.2]}, r"bias_magnitude must have shape \(3,\), got \(2,\)"),
         ({"bias_magnitude": [0.1, 0.2, 0.0]}, "bias_magnitude must be positive"),
     ],
 )

@@ -193,7 +193,7 @@ def test_impossible_targets_say_why_at_once():
     assert "use the sign-matched bias" in result.message
     assert result.attempts == 0
     result = synthesize(-np.abs(random_target(1)) - 0.1)
-    check_failure(result, "no rotational coordinate has its bias on the side of its target")
+    check_failure(result, "no rotational coordinate has a bias large enough on the side of its target")
     assert result.attempts == 0
 
 

@@ -133,7 +133,7 @@ def test_save_and_load_are_bit_exact_and_checked(tmp_path):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda n: dataclasses.replace(n, lyapunov_diagonal=np.ones(9)), r"must have shape \(3\), got \(9\)"),
+        (lambda n: dataclasses.replace(n, lyapunov_diagonal=np.ones(9)), r"must have shape \(3,\), got \(9,\)"),
         (lambda n: dataclasses.replace(n, bias=np.ones((3, 3))), r"bias must have shape \(3, 6\)"),
         (lambda n: n.transform(2.0 * np.eye(3), np.zeros(3)), "rotation must hold rotation matrices"),
         (lambda n: n.transform(np.eye(4), np.zeros(3)), r"rotation must have shape \(3, 3\), got \(4, 4\)"),

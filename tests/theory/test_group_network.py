@@ -144,7 +144,7 @@ def test_tampered_files_are_refused(tmp_path, change, words):
         ({"theta": np.eye(4)}, r"theta must have shape \(3, 3, 4, 4\), got \(4, 4\)"),
         ({"theta": np.zeros((3, 3, 4, 4))}, "9 of 9 are none; `project_to_adjoint` of the group"),
         ({"bias": np.zeros((3, 4))}, r"bias must have shape \(3, 6\)"),
-        ({"lyapunov_diagonal": np.ones(9)}, r"lyapunov_diagonal must have shape \(18\), got \(9\)"),
+        ({"lyapunov_diagonal": np.ones(9)}, r"lyapunov_diagonal must have shape \(18,\), got \(9,\)"),
         ({"activation": "relu"}, "allowed: .*tanh"),
     ],
 )

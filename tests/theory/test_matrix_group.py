@@ -213,7 +213,7 @@ def test_independence_is_over_the_reals():
         (lambda: group("SO(4)"), r"no group 'SO\(4\)'; allowed: SO\(2\), SO\(3\), .*Sim\(3\), GL\(n\)"),
         (lambda: group("GL(9)"), r"n must be at most 8 for GL\(n\), got 9"),
         (lambda: affine(group("SU(2)")), r"affine needs a real matrix group, got SU\(2\)"),
-        (lambda: group("SO(3)").hat(np.zeros(4)), r"x must have shape \(\.\.\., 3\), got \(4\)"),
+        (lambda: group("SO(3)").hat(np.zeros(4)), r"x must have shape \(\.\.\., 3\), got \(4,\)"),
         (lambda: group("SO(3)").vee(np.eye(3)), r"Lie algebra of SO\(3\), got one off by"),
         (lambda: group("SO(3)").vee(1j * np.eye(3)), "complex numbers are not allowed"),
         (lambda: group("GL(2)").adjoint(np.zeros((2, 2))), r"must be in GL\(2\), got a singular matrix"),

@@ -41,14 +41,14 @@ def test_curvature_is_that_of_the_plotted_curve():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: smoothness_bounds(WEIGHT, [0.1], 1.0, gamma=1.0, mu=1.0), r"bias must have shape \(2\)"),
+        (lambda: smoothness_bounds(WEIGHT, [0.1], 1.0, gamma=1.0, mu=1.0), r"bias must have shape \(2,\)"),
         (lambda: smoothness_bounds(WEIGHT, [0.1, 0.1], -1.0, gamma=1.0, mu=1.0), "radius must not be negative, got -1"),
         (
             lambda: smoothness_bounds([[1e100]], [0.1], 1e100, gamma=1e50, mu=1e99),
             "beyond the range of double precision",
         ),
         (lambda: smoothness_bounds(WEIGHT, [0.1, 0.1], 1.0, gamma=1.0, mu=1.0, lipschitz=0.0), "lipschitz must be"),
-        (lambda: curvature(np.ones(2), np.ones(3)), r"xi_ddot must have shape \(2\), got \(3\)"),
+        (lambda: curvature(np.ones(2), np.ones(3)), r"xi_ddot must have shape \(2,\), got \(3,\)"),
     ],
 )
 def test_wrong_input_is_named(call, words):

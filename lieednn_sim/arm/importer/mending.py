@@ -33,6 +33,9 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
     except ElementTree.ParseError as error:
         notes.append(f"limits of velocities, and joints without limits, could not be read of the URDF: {error}")
         return {}
+    turns = [origin.get("rpy", "") for origin in robot.iter("origin")]
+    if many := [turn for turn in turns if np.abs(np.array(turn.split(), dtype=float)).max(initial=0.0) > 2.0 * np.pi]:
+        notes.append(f"an origin of the URDF has rpy={many[0]!r}: are its angles in degrees?")
     joints = robot.findall("joint") if robot.tag == "robot" else []
     names = [joint.get("name", "") for joint in joints]
     if twice := ", ".join(sorted({repr(name) for name in names if names.count(name) > 1})):
