@@ -17,7 +17,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import rotations
+from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats
 

@@ -16,7 +16,7 @@ from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator
 from lieednn_sim.values import Floats
 

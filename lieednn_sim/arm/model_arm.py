@@ -23,7 +23,7 @@ from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.lie import rotations
+from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_nonnegative
 from lieednn_sim.values import Floats, check_fields
 

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import rotations, transforms
+from lieednn_sim.lie.se3 import rotations, transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator, as_nonnegative
 from lieednn_sim.values import Floats, frozen, set_fields
 

@@ -16,7 +16,7 @@ from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.validation import as_count, as_floats, quoted
 from lieednn_sim.values import Floats, read_only
 

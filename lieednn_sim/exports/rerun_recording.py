@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.exports.formats import samples
-from lieednn_sim.lie import same_signs
+from lieednn_sim.lie.se3 import same_signs
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 

@@ -7,34 +7,18 @@ functions take arrays with any number of leading batch axes.
 # Here and in `arm`, SciPy's names are written in full after `import scipy`: its subpackages are then imported on first
 # use, and importing `scipy.spatial` takes longer than importing MuJoCo.
 
-from lieednn_sim.lie.projection import (
-    project_to_adjoint,
-    project_to_adjoint_exact,
-    project_to_rotation,
-    project_to_scaled_adjoint,
-)
-from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, spatial_twist, vee
-
-# Unchecked, for the rest of the package.
-from lieednn_sim.lie.se3 import continued as continued
-from lieednn_sim.lie.se3 import rotations as rotations
-from lieednn_sim.lie.se3 import same_signs as same_signs
-from lieednn_sim.lie.se3 import transforms as transforms
+from lieednn_sim.lie.projection import project_to_adjoint as project_to_adjoint
+from lieednn_sim.lie.projection import project_to_adjoint_exact as project_to_adjoint_exact
+from lieednn_sim.lie.projection import project_to_rotation as project_to_rotation
+from lieednn_sim.lie.projection import project_to_scaled_adjoint as project_to_scaled_adjoint
+from lieednn_sim.lie.se3 import adjoint as adjoint
+from lieednn_sim.lie.se3 import exp as exp
+from lieednn_sim.lie.se3 import hat as hat
+from lieednn_sim.lie.se3 import left_jacobian_se3 as left_jacobian_se3
+from lieednn_sim.lie.se3 import left_jacobian_so3 as left_jacobian_so3
+from lieednn_sim.lie.se3 import log as log
+from lieednn_sim.lie.se3 import spatial_twist as spatial_twist
+from lieednn_sim.lie.se3 import vee as vee
 from lieednn_sim.typecheck import typecheck_public
-
-__all__ = [
-    "adjoint",
-    "exp",
-    "hat",
-    "left_jacobian_se3",
-    "left_jacobian_so3",
-    "log",
-    "project_to_adjoint",
-    "project_to_adjoint_exact",
-    "project_to_rotation",
-    "project_to_scaled_adjoint",
-    "spatial_twist",
-    "vee",
-]
 
 typecheck_public(globals())

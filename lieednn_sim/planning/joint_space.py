@@ -6,7 +6,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.lie import continued
+from lieednn_sim.lie.se3 import continued
 from lieednn_sim.planning.clearance import check_contact
 from lieednn_sim.planning.motion import Motion, check_joints, check_limits, interpolation
 from lieednn_sim.planning.problem import PlanningProblem

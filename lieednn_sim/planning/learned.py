@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected

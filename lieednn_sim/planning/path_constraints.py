@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import PlanError
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 

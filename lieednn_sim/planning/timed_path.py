@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.lie import continued
+from lieednn_sim.lie.se3 import continued
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.planning.time_laws import minimum_jerk_law

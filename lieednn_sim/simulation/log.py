@@ -15,7 +15,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import control_ranges, tangent_basis
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import rotations, same_signs
+from lieednn_sim.lie.se3 import rotations, same_signs
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation

@@ -15,7 +15,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.clearance import Clearance, proved_clearance
 from lieednn_sim.planning.monitor import ClearanceMonitor, moved_besides
 from lieednn_sim.planning.motion import Motion

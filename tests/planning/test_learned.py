@@ -15,7 +15,7 @@ from lieednn_sim import budget
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import Demonstration, LearnedMotion, ShapedMotion, align
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.time_laws import recorded_law
 from lieednn_sim.studies.demonstrations import models
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration, as_dof
-from lieednn_sim.lie import exp, left_jacobian_so3, transforms
+from lieednn_sim.lie import exp, left_jacobian_so3
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 

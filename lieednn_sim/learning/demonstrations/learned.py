@@ -16,7 +16,7 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.demonstrations.alignment import displacement, from_goal, in_world, twist_of
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.recording import as_dof
-from lieednn_sim.lie import transforms
+from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_floats, as_path, as_times

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import rotations
+from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.simulation.actuators import driving_actuators
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Noise
