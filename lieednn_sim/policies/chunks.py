@@ -37,7 +37,7 @@ from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice
+from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -310,7 +310,10 @@ class ChunkPolicy(ReplanningPolicy):
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
-        if self.source and (given := self.source(self.now, self.q if measured is None else measured)):
+        given = self.source and self.source(self.now, self.q if measured is None else measured)
+        if given is not None:
+            if not isinstance(given, tuple | list) or len(given) != 3:
+                raise InputError(f"a source must return None, or a chunk, t0 and dt, got {quoted(given)}")
             self.accept(*given)
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.

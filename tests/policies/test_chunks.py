@@ -76,6 +76,9 @@ def test_a_source_gives_chunks_while_an_arm_follows(gantry):
         seen.append((now, measured.copy()))
         return (swing(now - 0.1 + 0.02 * np.arange(50)), now - 0.1, 0.02) if len(seen) % 30 == 1 else None
 
+    policy.source = lambda now, q: swing(np.arange(5.0))  # type: ignore[assignment]
+    with pytest.raises(InputError, match=r"a source must return None, or a chunk, t0 and dt, got an array of shape"):
+        policy.step(None, HOME)
     policy.source = source
     rollout = follow(policy, HOME, 2.0).rollout
     assert (len(seen), policy.counts) == (201, {"accepted": 7})
