@@ -214,8 +214,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
-            times = begin - self.now + np.linspace(0.0, curve.duration, len(curve.values))
-            self._require_clear(curve.values, times)
+            u, q = curve.places(0.0, _APART)
+            self._require_clear(q, begin - self.now + u)
         if due:
             begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration), whole=True)
@@ -233,9 +233,8 @@ class ChunkPolicy(ReplanningPolicy):
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
             q, times, end = motion.even[0], motion.duration * EVEN, motion.base.end
             if whole and end < curve.duration:
-                left = np.arange(math.ceil(end / curve.step), len(curve.values))
-                q = np.concatenate([q, curve.values[left]])
-                times = np.concatenate([times, motion.duration - end + curve.step * left])
+                u, rest = curve.places(end, _APART)
+                q, times = np.concatenate([q, rest]), np.concatenate([times, motion.duration - end + u])
             self._require_clear(q, times)
             return motion
 
