@@ -143,8 +143,7 @@ class Ramped:
         powers = np.empty((7, len(t)))
         powers[0], powers[1:] = 1.0, np.minimum(np.maximum((t - self.ramps_at) / self._ramp, 0.0), 1.0)
         result = self._factors[:orders] @ np.multiply.accumulate(powers, out=powers)
-        result[0] += self.begin + self._full * np.minimum(t, self.ramps_at)
-        np.minimum(result[0], self.end, out=result[0])
+        result[0] = np.minimum(result[0] + (self.begin + self._full * np.minimum(t, self.ramps_at)), self.end)
         return result
 
     def states(self, t: Floats, orders: int = 3) -> Floats:

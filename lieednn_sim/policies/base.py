@@ -97,8 +97,7 @@ class Policy(ABC):
                 # No sensor's noise is that large; later, a wrong value shall not end a loop that runs.
                 far = self.arm.limit_excess(seen)[: len(seen)] > self.arm.ranges + self.arm.start_tolerance
                 if far.any():
-                    text = self.arm.describe_excess(seen, int(far.argmax()))
-                    raise InputError(f"measured is beyond a limit by more than a range, as in other units: {text}")
+                    raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:
