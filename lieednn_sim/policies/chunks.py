@@ -260,7 +260,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, after: Floats) -> None:
-        """Raise `RefusedError` if something is in the way at ``(K, n)``, looked at every `_APART`, ``(K,)`` s from now."""
+        """Raise `RefusedError` if something is in the way at ``(K, n)``, looked at every `_APART`, ``(K,)`` s ahead."""
         steps = q[1:] - q[:-1]
         count = (np.add.accumulate(np.sqrt(np.vecdot(steps, steps))) / _APART).astype(int)
         seen = np.concatenate([[0], (count[1:] > count[:-1]).nonzero()[0] + 1, [len(q) - 1]])
