@@ -22,8 +22,8 @@ _SUBPACKAGES = (
     *("rendering", "evaluation", "studies", "environments", "exports", "live", "cli"),
 )
 # The stub beside this file says, also to type checkers, which module each name is in.
-with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _stub:  # noqa: PTH123 (pathlib is slow to import)
-    _lines = [line.split() for line in _stub if line.startswith("from lieednn_sim.")]
+_stub = __spec__.loader.get_data(f"{__path__[0]}/__init__.pyi").decode().splitlines()
+_lines = [line.split() for line in _stub if line.startswith("from lieednn_sim.")]
 _MODULE_OF = {name: module.removeprefix("lieednn_sim.") for _, module, _, name, *_ in _lines}
 __all__ = sorted(_MODULE_OF)
 

@@ -20,6 +20,7 @@ Seed = int | np.random.SeedSequence | np.random.Generator
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
 _QUOTED = 80  # most characters of a refused value that are quoted
+TURN = 6.3  # a full turn, rounded [rad]: larger angles of orientations are degrees
 MOST_ENTRIES = 2**27  # most entries of an array: a gibibyte of float64
 
 

@@ -108,8 +108,9 @@ def _as_read_only(item: Any) -> Any:
 
 
 def _shown(item: Any) -> str:
-    text, kind = " ".join(repr(item).split()), f"{type(item).__name__} {getattr(item, 'shape', '')}".strip()
-    return text if len(text) <= 120 or isinstance(item, str) else f"<{kind}>"
+    text, kind = repr(item), f"{type(item).__name__} {getattr(item, 'shape', '')}".strip()
+    short = text if isinstance(item, str) else " ".join(text.split())
+    return short if len(short) <= 120 or isinstance(item, str) else f"<{kind}>"
 
 
 def _equal(first: Any, second: Any) -> bool:

@@ -73,7 +73,7 @@ class Collisions:
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
         self._reach = self._radius[self._first] + self._radius[self._second] + _SLACK
         # Of two geoms the one that fills its bounding ball most is taken as that ball.
-        empty = self._radius / np.maximum(self._half.min(axis=1), 1e-300)
+        empty = np.where(planes, np.inf, self._radius / np.maximum(self._half.min(axis=1), 1e-300))
         swapped = empty[self._first] < empty[self._second]
         self._first, self._second = np.where(swapped, [self._second, self._first], [self._first, self._second])
         # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.

@@ -80,7 +80,10 @@ class ModelArm(SerialArm):
         check_fields(self, as_nonnegative, "clearance", "start_tolerance")
         check_fields(self, as_floats, "position_limits", shape=(self.n_joints, 2), largest=np.inf)
         check_fields(self, as_floats, *LIMITS[1:], shape=(self.n_joints,), largest=np.inf)
-        if wrong := [name for name in ("ranges", *LIMITS[1:]) if getattr(self, name).min(initial=0.0) < 0.0]:
+        low, high = self.position_limits.T
+        if not ((low <= high) & (low < np.inf) & (high > -np.inf)).all():
+            raise InputError("position_limits must have lower limits that are not above the upper ones")
+        if wrong := [name for name in LIMITS[1:] if getattr(self, name).min(initial=0.0) < 0.0]:
             raise InputError(f"{wrong[0]} must not be negative")
 
     @classmethod

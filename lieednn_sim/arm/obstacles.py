@@ -21,7 +21,7 @@ from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file
 from lieednn_sim.registry import SCENES
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
+from lieednn_sim.validation import TURN, as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats, StrPath
 
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
@@ -82,7 +82,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
-    away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1)
+    away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1) * colliding_geoms(model)
     if away.max(initial=0.0) > _FARTHEST:
         name = geom_name(model, int(away.argmax()))
         raise InputError(f"{source}: {name!r} is {away.max():.3g} m away; lengths are in metres, not millimetres")
@@ -227,7 +227,7 @@ def read_pose(entry: dict[str, Any]) -> dict[str, Any]:
     pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}
     if "rpy" in entry:
         quaternion = np.zeros(4)
-        mujoco.mju_euler2Quat(quaternion, as_floats("rpy, in radians,", entry["rpy"], (3,), largest=2.0 * np.pi), "XYZ")
+        mujoco.mju_euler2Quat(quaternion, as_floats("rpy, in radians,", entry["rpy"], (3,), largest=TURN), "XYZ")
         pose["quat"] = quaternion
     elif "quaternion" in entry:
         pose["quat"] = as_floats("quaternion", entry["quaternion"], (4,))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations, transforms
-from lieednn_sim.validation import Seed, as_floats, as_generator, as_nonnegative
+from lieednn_sim.validation import TURN, Seed, as_floats, as_generator, as_nonnegative
 from lieednn_sim.values import Floats, frozen, set_fields
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class TaskSpaceRegion:
         for what, low, high in zip(coordinates, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
-            if "rotation" in what and (np.isinf(low) != np.isinf(high) or 2.0 * np.pi < max(-low, high) < np.inf):
+            if "rotation" in what and (np.isinf(low) != np.isinf(high) or TURN < max(-low, high) < np.inf):
                 raise InputError(f"{what} must have two bounds within a turn [rad], or none, got {low:g} and {high:g}")
 
     def __repr__(self) -> str:

@@ -76,7 +76,7 @@ class SerialArm:
     @property
     def n_joints(self) -> int:
         """Number n of joint coordinates."""
-        return len(self.position_limits)
+        return len(self.space)
 
     @property
     def timestep(self) -> float:

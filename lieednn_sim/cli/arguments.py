@@ -26,7 +26,7 @@ from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.validation import TURN, as_choice, as_floats
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class Goal(ChosenArm):
             return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)
         if self.pose:
             for at in self.pose:
-                as_floats("the rotation vector of --pose, in radians,", at[3:], (3,), largest=2.0 * np.pi)
+                as_floats("the rotation vector of --pose, in radians,", at[3:], (3,), largest=TURN)
             transforms, rotation = scipy.spatial.transform.RigidTransform, scipy.spatial.transform.Rotation
             return start, [transforms.from_components(at[:3], rotation.from_rotvec(at[3:])) for at in self.pose]
         return start, joint_position(arm, self.usual_target(arm) or self.target or "", "target")

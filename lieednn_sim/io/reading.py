@@ -12,7 +12,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -96,11 +96,19 @@ def _loader() -> Any:
     class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
         """Reads 1e-3 as the number that it is in YAML 1.2, not as a text; refuses what is there twice."""
 
-        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-            names = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-            if twice := [name for name, count in names.items() if count > 1]:
-                raise ValueError(f"{twice[0]!r} is there twice in what begins in line {node.start_mark.line + 1}")
-            return super().construct_mapping(node, deep)
+        def __init__(self, stream: Any) -> None:
+            super().__init__(stream)
+            self._seen = set[int]()
+
+        def flatten_mapping(self, node: Any) -> None:
+            # At first, before what is merged is among its entries.
+            if id(node) not in self._seen:
+                self._seen.add(id(node))
+                names = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+                for (tag, name), count in names.items():
+                    if count > 1 and not tag.endswith(":merge"):
+                        raise ValueError(f"{name!r} is there twice in what begins in line {node.start_mark.line + 1}")
+            super().flatten_mapping(node)
 
     number = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
@@ -120,7 +128,15 @@ def _count(value: Any, known: dict[int, float]) -> float:
 
 def load_json(path: StrPath, what: str) -> dict[str, Any]:
     """Read a JSON object; `FileError` says what is wrong with the file."""
-    return _load_object(path, what, json.loads)
+    return _load_object(path, what, partial(json.loads, object_pairs_hook=_entries))
+
+
+def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"{name!r} is there twice in one object")
+    return result
 
 
 def load_description(path: StrPath, what: str) -> dict[str, Any]:

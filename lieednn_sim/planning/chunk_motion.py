@@ -101,6 +101,15 @@ class ChunkCurve:
         u = np.linspace(0.0, latest, 65)
         return float(u[np.square(self(u, 1)[0] - q).sum(axis=1).argmin()])
 
+    def places(self, begin: float, apart: float) -> tuple[Floats, Floats]:
+        """Times ``(K,)`` from one on, and configurations ``(K, n)``, neighbours about so far ``apart`` or nearer."""
+        steps, first = self.values[1:] - self.values[:-1], math.ceil(begin / self.step - 1e-9)
+        parts = math.ceil(math.sqrt(np.vecdot(steps, steps).max()) / apart)
+        if parts <= 1:
+            return self.step * np.arange(float(first), len(self.values)), self.values[first:]
+        u = np.linspace(begin, self.duration, parts * (len(self.values) - first) + 1)
+        return u, self(u, 1)[0]
+
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
         """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
         first = min(int(begin / self.step), self._last)
@@ -134,8 +143,7 @@ class Ramped:
         powers = np.empty((7, len(t)))
         powers[0], powers[1:] = 1.0, np.minimum(np.maximum((t - self.ramps_at) / self._ramp, 0.0), 1.0)
         result = self._factors[:orders] @ np.multiply.accumulate(powers, out=powers)
-        result[0] += self.begin + self._full * np.minimum(t, self.ramps_at)
-        np.minimum(result[0], self.end, out=result[0])
+        result[0] = np.minimum(result[0] + (self.begin + self._full * np.minimum(t, self.ramps_at)), self.end)
         return result
 
     def states(self, t: Floats, orders: int = 3) -> Floats:

@@ -119,8 +119,7 @@ def judge(
     def note(kind: str, text: str, row: int, joint: int, value: float, limit: float, unit: str = "") -> None:
         name, unit = arm.joint_names[joint], arm.unit(joint) + unit
         said = f"joint {name!r} {text} {value:.3g} {unit} in row {row}, allowed is {limit:.3g} {unit}"
-        found = Finding(kind, said, kind in repaired, row, name, float(value), float(limit))
-        findings.setdefault((kind, joint), found)
+        findings.setdefault((kind, joint), Finding(kind, said, kind in repaired, row, name, float(value), float(limit)))
 
     low, high = arm.position_limits.T
     mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)

@@ -58,7 +58,8 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
     The arm is taken with its payload and what it holds; arguments are as for `motion.check_joints`.
     Dry friction acts against the motion; contacts are left out. Some samples are looked at, and those with the largest
-    accelerations; if any of these needs 0.7 of a limit, some 250, and all near those that need as much.
+    accelerations; if any of these needs 0.7 of a limit, some 250, and all near those that need as much, or where an
+    acceleration changes by a fifth of its largest.
 
     If time is stretched by s, forces f0 of gravity, springs and dry friction stay, f1 of dampers become f1 / s, and the
     rest f2 / s^2. So a force stays below F from s = (f1 + sqrt(f1^2 + 4 (F - f0) f2)) / (2 (F - f0)) on.
@@ -71,14 +72,17 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     """
     last = len(t) - 1
     looks, fastest = np.linspace(0, last, 33).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
-    if not _limited(arm) or _use(_along(arm, t, q, qd, np.append(np.minimum(looks, last - 1), fastest))).max() <= _NEAR:
+    first = np.append(np.minimum(looks, last - 1), fastest)
+    if not _limited(arm) or (near := _use(_along(arm, t, q, qd, first)).max(axis=1) > _NEAR).sum() == 0:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
     # Many motions are far too fast, which some 250 samples tell. Of the others, those near samples that need as much.
     some = np.arange(0, last, stride := max(1, last // 250))
     use = _use(forces := _along(arm, t, q, qd, some))
     if stride > 1 and use.max() <= 1.0 + _TOLERANCE:
-        some = _between(some, use.max(axis=1) > _NEAR, qd)
+        busy = use.max(axis=1) > _NEAR
+        busy[np.searchsorted(some, first[near], side="right") - 1] = True
+        some = _between(some, busy, qd)
         use = _use(forces := _along(arm, t, q, qd, some))
     k, j = np.nonzero(use > 1.0 + _TOLERANCE)
     if not len(k):

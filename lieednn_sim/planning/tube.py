@@ -1,10 +1,11 @@
 """The tube of a plan: deviations of its network's state that are proved to end at the target without contact.
 
 A deviation d of the visible neurons at one instant, the hidden ones being as planned, decays as d' = -gamma d in a
-cascade, and in another network stays below the gain of `stability.Robustness.push_gain`. `arm.deviations` bounds how
-far the joints then are from the plan, and `arm.clearance_bounds` how far what they move is from contact, on intervals
-of time that are halved until the bound is sharp. `docs/mathematics/tube.md` proves each step, and says what is assumed
-and what is not covered; the error of a controller that tracks the deviated motion is not, unless given as ``tracking``.
+cascade, and in another network stays below |d(0)| times the gain of `stability.Robustness.push_gain`. `arm.deviations`
+bounds how far the joints then are from the plan, and `arm.clearance_bounds` how far what they move is from contact, on
+intervals of time that are halved until the bound is sharp. `docs/mathematics/tube.md` proves each step, and says what
+is assumed and what is not covered; the error of a controller that tracks the deviated motion is not, unless given as
+``tracking``.
 """
 
 from __future__ import annotations

@@ -95,9 +95,9 @@ class Policy(ABC):
                 self.reset(seen)
             if seen is not None and self._target is None:
                 # No sensor's noise is that large; later, a wrong value shall not end a loop that runs.
-                far = self.arm.limit_excess(seen)[: len(seen)] > self.arm.ranges
+                far = self.arm.limit_excess(seen)[: len(seen)] > self.arm.ranges + self.arm.start_tolerance
                 if far.any():
-                    raise InputError(f"measured is in other units: {self.arm.describe_excess(seen, int(far.argmax()))}")
+                    raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:

@@ -27,9 +27,9 @@ class ChunkStep:
     """A step of a LeRobot pipeline between a learned policy and the robot; each call is one control period.
 
     A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
-    of the joints, as a tensor if chunks or states are. ``observation.state`` has the measured joints ``(n,)`` of one
-    instant, where the policy starts, also after `reset`. Further columns, such as a gripper's, are as in the chunk, and
-    before the first one as in the state. The info says what became of a chunk, as ``chunk``.
+    of the joints, as a tensor if chunks or states are. ``observation.state`` begins with the measured joints ``(n,)``
+    of one instant, where the policy starts, also after `reset`. Further columns of a chunk, such as a gripper's, stay
+    as they are; before the first chunk there are none. The info says what became of a chunk, as ``chunk``.
 
     Args:
         policy: the policy, whose rate is that of the calls.
@@ -68,14 +68,14 @@ class ChunkStep:
         if self._stay is None:
             if measured is not None:
                 policy.reset(measured)
-                self._like, self._more = getattr(state, "new_tensor", self._like), (0.0, seen[None, n:])
+                self._like = getattr(state, "new_tensor", self._like)
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
-            self._like, targets = getattr(chunk, "new_tensor", np.asarray), np.asarray(chunk, dtype=float)
+            self._like, targets = getattr(chunk, "new_tensor", self._like), np.asarray(chunk, dtype=float)
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
             delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
-            begin = policy.now - as_nonnegative("delay", np.squeeze(delay))
+            begin = policy.now - max(float(delay), 0.0)  # clocks differ a little
             verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)
             if verdict.accepted:
                 self._more = begin, targets[:, n:]

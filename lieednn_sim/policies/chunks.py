@@ -214,8 +214,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
-            times = begin - self.now + np.linspace(0.0, curve.duration, len(curve.values))
-            self._require_clear(curve.values, times)
+            u, q = curve.places(0.0, _APART)
+            self._require_clear(q, begin - self.now + u)
         if due:
             begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration), whole=True)
@@ -233,9 +233,8 @@ class ChunkPolicy(ReplanningPolicy):
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
             q, times, end = motion.even[0], motion.duration * EVEN, motion.base.end
             if whole and end < curve.duration:
-                left = np.arange(math.ceil(end / curve.step), len(curve.values))
-                q = np.concatenate([q, curve.values[left]])
-                times = np.concatenate([times, motion.duration - end + curve.step * left])
+                u, rest = curve.places(end, _APART)
+                q, times = np.concatenate([q, rest]), np.concatenate([times, motion.duration - end + u])
             self._require_clear(q, times)
             return motion
 
@@ -261,10 +260,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, after: Floats) -> None:
-        """Raise `RefusedError` where something is in the way at configurations ``(K, n)`` after times ``(K,)`` [s].
-
-        Of these it looks at some, of which neighbours are about `_APART` from each other.
-        """
+        """Raise `RefusedError` if something is in the way at ``(K, n)``, looked at every `_APART`, ``(K,)`` s ahead."""
         steps = q[1:] - q[:-1]
         count = (np.add.accumulate(np.sqrt(np.vecdot(steps, steps))) / _APART).astype(int)
         seen = np.concatenate([[0], (count[1:] > count[:-1]).nonzero()[0] + 1, [len(q) - 1]])

@@ -239,7 +239,7 @@ def test_errors_name_what_is_allowed(arm, tmp_path):
         ({"velocity_limits": np.full(4, np.nan)}, "velocity_limits must be finite"),
         ({"acceleration_limits": -np.ones(4)}, "acceleration_limits must not be negative"),
         ({"force_limits": np.ones(3)}, r"force_limits must have shape \(4,\), got \(3,\)"),
-        ({"position_limits": np.array([[1.0, -1.0]] * 4)}, "ranges must not be negative"),
+        ({"position_limits": np.array([[1.0, -1.0]] * 4)}, "position_limits must have lower limits that are not above"),
     ],
 )
 def test_what_would_let_an_arm_go_anywhere_is_refused(gantry, changes, message):

@@ -144,7 +144,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         ({"obstacles": [{**BOX, "size": [1, 0, 1]}]}, InputError, "each size must be positive, got 0"),
         ({"obstacles": [{**BOX, "quaternion": [0, 0, 0, 0]}]}, InputError, "quaternion must have length 1, got 0"),
         ({"obstacles": [{**BOX, "quaternion": [1, 0, 0, 0], "rpy": [0, 0, 0]}]}, InputError, "both rpy and quat"),
-        ({"obstacles": [{**BOX, "rpy": [0, 0, 90]}]}, InputError, "rpy, in radians, must not exceed 6.28319 .* got 90"),
+        ({"obstacles": [{**BOX, "rpy": [0, 0, 90]}]}, InputError, "rpy, in radians, must not exceed 6.3 .* got 90"),
         ({"obstacles": [POLE, POLE]}, InputError, "entry 2 .*name must be a printable text that no other"),
         (
             {"obstacles": [{"shape": "mesh", "file": "gone.stl", "position": [0, 0, 0]}]},

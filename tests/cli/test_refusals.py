@@ -28,7 +28,7 @@ REFUSED = {
     "plan --position 1e6,0,0": "cannot reach (1e+06, 0, 0) m",
     "plan --position 2e6,0,0": "position must",
     "plan --pose 0,0,1": "argument --pose: must be 6 comma-separated numbers, got 3",
-    "plan --pose 1,0,1,0,90,0": "the rotation vector of --pose, in radians, must not exceed 6.28319 in size, got 90",
+    "plan --pose 1,0,1,0,90,0": "the rotation vector of --pose, in radians, must not exceed 6.3 in size, got 90",
     "plan --start 0,0,0,0,0,0,0,99": "start is out of reach",
     "plan --duration 0.1": "a duration of at least",
     "plan --seed -1": "seed must be a whole number",

@@ -1,6 +1,7 @@
 """Chunks of targets: clean ones unchanged, faults mended or refused, limits, the proof ahead, and arrival."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -130,6 +131,19 @@ def test_what_cannot_be_mended_is_refused_and_the_old_chunk_goes_on(chunk, t0, d
     assert [finding.kind for finding in verdict.findings if not finding.repaired] == [kind]
     assert policies[0].counts[kind] == policies[0].counts["refused"] == 1
     np.testing.assert_array_equal(*(run(policy, 30) for policy in policies))
+
+
+@pytest.mark.parametrize("t0", [0.0, 0.5])
+def test_a_small_ball_between_two_targets_is_found(t0, gantry, tmp_path):
+    """The arm's own of 0.1 m passes it half way between targets that are half a metre from each other."""
+    at = gantry.link_poses([0.75, 0.0, 0.0, 0.0])[-1].translation.tolist()
+    ball = {"shape": "sphere", "name": "small", "radius": 0.02, "position": at}
+    (path := tmp_path / "ball.json").write_text(json.dumps({"obstacles": [ball]}))
+    arm, chunk = gantry.with_scene(path), np.linspace(HOME, [1.0, 0.0, 0.0, 0.0], 3)
+    assert not any(map(arm.contacts, chunk))
+    verdict = made(arm).accept(chunk, t0, 2.0)
+    assert [finding.kind for finding in verdict.findings] == ["contact"]
+    assert not verdict.accepted
 
 
 def test_a_contact_is_named_with_its_time_and_distance(gantry):
@@ -386,7 +400,7 @@ def test_no_contact_where_samples_see_none(gap, gantry):
     It may be 1 mm off the way, so that nothing is proved where it is to pass by half as much.
     """
     spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body(name="ball", pos=[1.0, 0.9, 0.101 + gap])
+    body = spec.worldbody.add_body(name="ball", pos=[1.0, 0.923, 0.101 + gap])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0.0, 0.0])
     arm = dataclasses.replace(gantry.with_obstacles(spec, "ball"), scene="free")
     thin = dataclasses.replace(arm, clearance=0.0)

@@ -17,6 +17,7 @@ from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.compound_joints import Couplings
 from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import TURN
 from lieednn_sim.values import Floats
 
 Joints = Mapping[str, ElementTree.Element]
@@ -34,7 +35,7 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
         notes.append(f"limits of velocities, and joints without limits, could not be read of the URDF: {error}")
         return {}
     turns = [origin.get("rpy", "") for origin in robot.iter("origin")]
-    if many := [turn for turn in turns if np.abs(np.array(turn.split(), dtype=float)).max(initial=0.0) > 2.0 * np.pi]:
+    if many := [turn for turn in turns if np.abs(np.array(turn.split(), dtype=float)).max(initial=0.0) > TURN]:
         notes.append(f"an origin of the URDF has rpy={many[0]!r}: are its angles in degrees?")
     joints = robot.findall("joint") if robot.tag == "robot" else []
     names = [joint.get("name", "") for joint in joints]
