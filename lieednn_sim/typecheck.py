@@ -143,7 +143,8 @@ def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dic
 
 
 def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
-    # Twice, if it is the name of an alias that is a text itself.
+    # Twice, if it is the name of an alias that is a text itself, or of a variable whose bound is one.
+    hint = getattr(getattr(hint, "__bound__", None), "__forward_arg__", hint)
     return _evaluate(eval(hint, {}, names), names) if isinstance(hint, str) else hint
 
 

@@ -70,7 +70,8 @@ def plan_learned(
     """
     if not (goal is None or isinstance(goal, RigidTransform)):
         goal = transforms(learned.goal.rotation.as_matrix(), as_floats("the position of goal", goal, (3,)))
-    begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
+    usual = float(as_floats("learned.t", learned.t, ("K",))[-1])
+    begin, shortest, longest = cpu_time(), *durations(usual if duration is None else duration)
     q = None if start is None else arm.check_start(start)
     poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
     turning = turning and learned.dof == 6

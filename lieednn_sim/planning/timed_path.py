@@ -28,8 +28,7 @@ from lieednn_sim.values import Floats
 # Hermite's cubics, the lowest power first, of values and slopes at both ends of a step; and their values in between.
 _HERMITE = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]])
 _QUARTERS = np.linspace(0.0, 0.75, 4)[:, None] ** np.arange(4)
-# Weights of four values in steps of one in the first two derivatives at the first.
-_AHEAD = np.array([[-1.5, 2.0, -0.5, 0.0], [2.0, -5.0, 4.0, -1.0]])
+_AHEAD = np.array([[-1.5, 2.0, -0.5, 0.0], [2.0, -5.0, 4.0, -1.0]])  # weights of four values in slope and bend
 
 
 class Clock:
