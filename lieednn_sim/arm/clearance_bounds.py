@@ -187,7 +187,7 @@ class ClearanceBounds:
         """Largest displacements of the joints ``(..., J)`` for changes of the coordinates up to ``(..., n)``."""
         result = q @ self._into.T
         if len(self._balls):
-            result[..., self._ball_joints] = np.linalg.norm(q[..., self._balls], axis=-1)
+            result[..., self._ball_joints] = self._arm.space.angles(q)
         return np.asarray(result)
 
     def _normals(

@@ -252,7 +252,7 @@ class ModelArm(SerialArm):
         """
         return self.to_qpos(as_floats("q", q, (self.n_joints,), batched=True), strict=strict)
 
-    def to_qpos(self, q: Floats, *, strict: bool = False) -> Floats:
+    def to_qpos(self, q: Floats, *, strict: bool = True) -> Floats:
         """`qpos`, unchecked, which would take as long as a test for contact."""
         positions, grasp = self.space.to_qpos(q), self.grasp
         if self.dependents is not None:

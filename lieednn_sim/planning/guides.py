@@ -182,7 +182,7 @@ class _Search:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
         problem, options, edges = self.problem, self.options, self.edges
         region, weight, checks = problem.path_constraint, edges.weight, options.collision_checks
-        box, scale, clear = weight[:, None] * edges.bounds, edges.scale / weight, edges.weighted
+        box, scale, clear = weight[:, None] * edges.bounds, edges.scale / weight, edges.weighted()
         search, shortcuts = np.random.SeedSequence([problem.seed, attempt]).spawn(2)
         corners = connected(
             problem.start / scale,

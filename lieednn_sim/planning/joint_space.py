@@ -39,7 +39,7 @@ class ClearanceTest:
 
         One beyond the arm's stops, or at which loops cannot be closed, counts as well.
         """
-        positions = self._arm.to_qpos(q)
+        positions = self._arm.to_qpos(q, strict=False)
         beyond = self._beyond(positions)
         end = len(q) if beyond is None else int(np.append(beyond > 0.0, True).argmax())
         first = self._finder.first(positions[:end])

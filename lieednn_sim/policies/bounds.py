@@ -213,15 +213,14 @@ class AngleBarrier:
 
     def values(self, q: Floats) -> tuple[Floats, Floats]:
         """Values ``(B,)`` [rad] and gradients ``(B, n)`` at ``q`` ``(n,)``."""
-        vectors = q[self._balls]
-        angles = np.linalg.norm(vectors, axis=1)
+        vectors, angles = q[self._balls], self._arm.space.angles(q)
         inward = np.zeros((len(angles), len(q)))
         np.put_along_axis(inward, self._balls, -vectors / np.maximum(angles, 1e-9)[:, None], axis=1)
         return self.limits - angles, inward
 
     def allow(self, q: Floats) -> None:
         """Tighten the limits, but not below the angles at ``q`` ``(n,)``."""
-        angles = np.linalg.norm(q[self._balls], axis=1)
+        angles = self._arm.space.angles(q)
         # Motion along the limit exceeds it to second order in a step.
         self.limits = np.minimum(np.maximum(self._largest - 5e-3, angles), self._largest)
 

@@ -191,7 +191,7 @@ def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.Se
         *(weight * q / edges.scale for q in space.ends),
         bounds=box,
         longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
-        clear=edges.weighted,
+        clear=edges.weighted(),
         over=partial(edges.over, max(options.max_collision_checks)),
         seed=seed,
     )

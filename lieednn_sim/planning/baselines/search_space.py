@@ -46,9 +46,8 @@ class EdgeTest:
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
-    @property
     def weighted(self) -> Callable[[Floats, Floats], bool]:
-        """`passable` for points times `weight`."""
+        """Another `passable`, for points times `weight`."""
         test = copy.copy(self)
         test.scale, test._density, test._known = self.scale / self.weight, self._density / self.weight, set()
         return test.passable
