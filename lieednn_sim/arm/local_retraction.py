@@ -26,6 +26,7 @@ _UNIT = np.sqrt(0.5)
 # Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
 _HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
 _ONE = np.eye(4).ravel()
+_HALF_TRACE = 0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
@@ -77,18 +78,17 @@ class LocalRetraction:
             self._chain.append((before, after[:, : 4 * (1 + begin)], turns[:, 1 + begin : 1 + end], turned))
             before = after
         self._configuration, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
-        # The Jacobian's columns, and below them the residuals of the given poses.
-        self._rows = np.zeros((n + 3, 16 * links))
-        # Keeps undetermined coordinates in place, relative to one radian and one unit of length.
-        self._damping = 1e-12 * np.eye(n)
-        self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
-        self._errors = self._rows[n:].reshape(3, links, 4, 4)
+        # The Jacobian's columns, below them the residuals of the given poses, and behind them what keeps undetermined
+        # coordinates in place, relative to one radian and one unit of length.
+        self._rows = np.zeros((n + 3, 16 * links + n))
+        self._rows[:n, 16 * links :] = 1e-6 * np.eye(n)
+        self._columns = self._rows[:n, : 16 * links].reshape(n, links, 16).transpose(1, 0, 2)
+        self._errors = self._rows[n:, : 16 * links].reshape(3, links, 4, 4)
         # Weights that sum squared entries to the squared gaps of rotation and translation.
         rotation, translation = np.zeros((2, 4, 4))
         rotation[:3, :3], translation[:3, 3] = 0.5, (_UNIT * arm.length_scale) ** 2
         self._parts = np.stack([rotation, translation], axis=-1).reshape(16, 2)
-        self._left = np.zeros(16 * links)
-        self.q = q
+        self._step, self.q = np.zeros(n), q
 
     def __reduce__(self) -> tuple[type[LocalRetraction], tuple[Arm, Floats]]:
         # In a copy entry by entry the views would be arrays of their own.
@@ -97,7 +97,8 @@ class LocalRetraction:
     @property
     def gap(self) -> Floats:
         """``(N, 2)`` distance of the last configuration from the given poses, in rotation [rad] and translation [m]."""
-        return np.sqrt((self._left * self._left).reshape(-1, 16).dot(self._parts))
+        left = self._errors[0].reshape(-1, 16) - self._step @ self._columns
+        return np.sqrt((left * left).dot(self._parts))
 
     def __call__(self, xi: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Joint coordinates and their rates along ``rate``, both ``(n,)``, for a network state ``(N, 6)``; unchecked.
@@ -105,19 +106,20 @@ class LocalRetraction:
         If the nearest configuration is far from the last one, eight steps of Newton's method may not reach it.
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
-        stack[0], stack[1], stack[2] = xi, xi + _AHEAD * rate, xi - _AHEAD * rate
+        ahead = _AHEAD * rate
+        stack[0], stack[1], stack[2] = xi, xi + ahead, xi - ahead
         for _ in range(8):
             self._twists.dot(self.q - self._reference, out=self._joints)
             poses, lefts = _exp(stack)
             np.subtract(poses[:3], self._linearised(poses[3:], lefts[3:]), out=self._errors)
             products = rows.dot(rows.T)
-            _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
+            _, steps, _ = dposv(products[:n, :n], products[:n, n:])
             step, ahead, behind = steps.T
             self.q = self.q + step
             # The square of the last step is about the remaining error.
             if abs(step[idamax(step)]) < 1e-3:
                 break
-        self._left = rows[n] - step.dot(rows[:n])
+        self._step = step
         return self.q, (ahead - behind) / (2.0 * _AHEAD)
 
     def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
@@ -155,7 +157,7 @@ def _exp(twists: Floats) -> tuple[Floats, Floats]:
     matrix = flat.reshape(-1, 4, 4)
     double = (matrix @ matrix).reshape(-1, 16)
     # |omega|^2 = -tr(hat(xi)^2) / 2
-    square = np.maximum(double.dot(-0.5 * _ONE[:, None]), 1e-16)
+    square = np.maximum(-double.dot(_HALF_TRACE), 1e-16)
     angle = np.sqrt(square)
     sine = np.sin(0.5 * angle)
     left = (2.0 * sine * sine / square) * flat

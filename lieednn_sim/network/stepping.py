@@ -10,7 +10,7 @@ the visible ones obey x' = u(h) - x with u(h) = (mu / gamma) (W phi(h) + b), so 
 
     x(z) = x_d + (x_0 - x_d) e^-z + integral_0^z e^-(z - s) (u(h(s)) - x_d) ds,    x_d = u(a).
 
-The integrand vanishes at rest, so x_d is kept exactly; Gauss's rule with three nodes integrates it.
+The integrand vanishes at rest, so x_d is kept exactly; Lobatto's rule with four nodes integrates it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ from lieednn_sim.values import Floats
 # Stages of the classical Runge-Kutta method, and the powers of z = -gamma h that its states hold.
 _STAGES = 4
 _POWERS = np.arange(1.0 + _STAGES)
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-# Gauss's positions in a step, the last one its end, and weights of the first three.
-_PLACES, _SHARES = np.append(0.5 * (1.0 + _NODES), 1.0), 0.5 * _WEIGHTS
+# Lobatto's nodes in a step, both ends among them, and their weights.
+_NODES, _WEIGHTS = 0.5 + np.array([-1.0, -(0.2**0.5), 0.2**0.5, 1.0]) / 2.0, np.array([1.0, 5.0, 5.0, 1.0]) / 12.0
 
 
 def _factors() -> Floats:
@@ -111,8 +110,9 @@ class UndrivenState:
     def _begin(self, hidden_start: Floats, target: Floats, visible: Floats) -> None:
         self._off, self.target, self.x = hidden_start.ravel()[self._drivers] - self._rest, target, visible.ravel()
         self._left = 1.0
+        self._last = np.empty((0, self.x.size))  # the input at the end of the last step
 
-    def _input(self, left: Floats) -> Floats:
+    def _inputs(self, left: Floats) -> Floats:
         """U(h) - x_d ``(m, 6N)`` where e^-z is ``(m,)``."""
         hidden = left[:, None, None] * self._off
         hidden += self._rest
@@ -124,8 +124,9 @@ class UndrivenState:
         count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.02))
         step = z / count
         for _ in range(count):
-            inputs = self._input(self._left * np.exp(-step * _PLACES))
-            weights = step * _SHARES * np.exp(step * (_PLACES[:3] - 1.0))
-            self.x = self.target + math.exp(-step) * (self.x - self.target) + weights @ inputs[:3]
-            self._left *= math.exp(-step)
-        self.flow = inputs[3] + self.target - self.x
+            falls = np.exp(-step * _NODES)
+            inputs = np.concatenate([self._last, self._inputs(self._left * falls[len(self._last) :])])
+            off = falls[3] * (self.x - self.target) + (step * _WEIGHTS * falls[::-1]).dot(inputs)
+            self.x, self._last = self.target + off, inputs[3:]
+            self._left *= falls[3]
+        self.flow = inputs[3] - off

@@ -95,7 +95,7 @@ def braking_in_time(arm: Arm, middle: Floats, rates: Floats, old: Floats, h: flo
     """
     (low, high), a = arm.position_limits.T, arm.acceleration_limits
     reach = middle + rates * (h + 0.5 * np.abs(rates) / a)
-    if (reach < low).any() or (reach > high).any():
+    if ((reach < low) | (reach > high)).any():
         rates = np.minimum(np.maximum(rates, -fastest(middle - low, a, h)), fastest(high - middle, a, h))
     for ball in arm.space.balls:
         largest, at, most = high[ball[0]], middle[ball], a[ball] * h

@@ -122,6 +122,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})
     _taken_over, _used = 1.0, 1.0
+    _beyond = _TOLERANCE  # by what a code lacks
     source: Callable[[float, Floats], tuple[ArrayLike | RigidTransform, float, float] | None] | None = None
     _defaults = ChunkOptions
     _options: ChunkOptions
@@ -311,9 +312,7 @@ class ChunkPolicy(ReplanningPolicy):
             if not isinstance(given, tuple | list) or len(given) != 3:
                 raise InputError(f"a source must return None, or a chunk, t0 and dt, got {quoted(given)}")
             self.accept(*given)
-        inside, _ = super().act(measured, target)
-        # At a limit the network may be beyond it by what its code lacks.
-        qd = np.where(np.abs(inside - self.drawn) < _TOLERANCE, self._rate, 0.0)
+        inside, qd = super().act(measured, target)
         half, v, most = 0.5 * self.period, self.arm.velocity_limits, self._max_gain
         held = self.q + half * self.qd
         rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)

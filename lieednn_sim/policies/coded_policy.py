@@ -60,6 +60,8 @@ class CodedPolicy(FeedbackPolicy):
     channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1"})
     # Parts of the limits of acceleration: what a change may take over, and what the pace may use.
     _taken_over, _used = 0.5, 0.85
+    # How far the network may be beyond a position limit while joints there have its rates.
+    _beyond = 0.0
     # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
     rest_at: float
     _z: float
@@ -98,27 +100,30 @@ class CodedPolicy(FeedbackPolicy):
         """See `Policy`; unchecked."""
         self._decide(target)
         self._waiting, pulled = self._listen(measured, self.drawn)
-        pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
         course, ahead = self.course, self.rest_at - self.time
         wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
-        most, change = self._used * self._max_gain, self.qd - pull_rate
+        change, most = self.qd - pulled[1] if pulled else self.qd, self._used * self._max_gain
         bounds = (change - most).tolist(), (change + most).tolist()
         guess = self._within_acceleration(wish, *bounds)
         self.time += 0.5 * self.period * (self.pace + guess)
         z, rate = course.clock(self.time)
-        course.state.x = course.state.x + self.period * pull
+        self._retraction.q = self.drawn + self.period * guess * self._velocity
+        if pulled:
+            course.state.x = course.state.x + self.period * pulled[0]
+            self._retraction.q += self.period * pulled[1]
         course.state.advance(z - self._z)
         self._z = z
-        self._retraction.q = self.drawn + self.period * (guess * self._velocity + pull_rate)
         drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
         self._velocity = rate * slope
         pace = self._within_acceleration(wish, *bounds)
-        desired = pace * self._velocity + pull_rate
-        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
+        desired = pace * self._velocity
+        if pulled:
+            desired += pulled[1]
+        slower = 1.0 / max(1.0, float(np.maximum.reduce(np.abs(desired) / self.allowed())))
         self._limited = slower * pace < 0.99 * self._waiting
         self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
-        self.drawn, inside, self._rate = drawn, self._within_limits(drawn), slower * desired
-        return inside, np.where(inside == drawn, self._rate, 0.0)
+        self.drawn, inside = drawn, self._within_limits(drawn)
+        return inside, np.where(np.abs(inside - drawn) <= self._beyond, slower * desired, 0.0)
 
     def _within_acceleration(self, wish: float, least: list[float], most: list[float]) -> float:
         """The pace nearest to a wish at which the joints' velocities along the motion are within bounds."""
@@ -126,7 +131,8 @@ class CodedPolicy(FeedbackPolicy):
         # For a few joints quicker than arrays.
         for v, below, above in zip(self._velocity.tolist(), least, most, strict=True):
             if abs(v) > 1e-9:
-                low, high = max(low, min(below / v, above / v)), min(high, max(below / v, above / v))
+                slowest, fastest = (below / v, above / v) if v > 0.0 else (above / v, below / v)
+                low, high = max(low, slowest), min(high, fastest)
         # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
         return max(min(wish, max(low, high)), min(low, high, self._waiting))
 
