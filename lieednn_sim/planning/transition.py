@@ -12,6 +12,7 @@ the two states.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +38,7 @@ _DERIVATIVES = np.hstack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1)
 BASE_FRACTION, FRACTION = 0.5, 0.8
 # What is tried: factors on the base's duration, and durations of the fade over the transition's.
 _SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
-# Samples of a transition, and of a shorter fade; every second of the former is looked at for what is in the way.
+# Samples of a transition, and of a shorter fade.
 EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
 _EVEN_POWERS = EVEN[:, None] ** _POWERS.T
 
@@ -64,7 +65,7 @@ class Transition:
     @cached_property
     def even(self) -> Floats:
         """What a call returns at 97 even times from 0 to the duration."""
-        return self._sum(_EVEN_POWERS) if self._one else self(self.duration * EVEN)
+        return self(self.duration * EVEN) if self._own is None else self._sum(_EVEN_POWERS)
 
     def __call__(self, t: Floats, orders: int = 3) -> Floats:
         """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``, or the first of these orders.
@@ -74,7 +75,7 @@ class Transition:
         powers = np.empty((6, len(t)))
         powers[0], powers[1:] = 1.0, np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
         result = self._sum(np.multiply.accumulate(powers, out=powers).T, orders)
-        if not self._one:
+        if self._own is None:
             self._add_base(result, t)
         return result
 
@@ -88,18 +89,19 @@ class Transition:
         return np.asarray(powers @ factors).reshape(len(powers), orders, -1).swapaxes(0, 1)
 
     @cached_property
-    def _one(self) -> bool:
-        """Whether the whole motion is one polynomial: the base has one piece, and corrections take as long."""
-        return isinstance(self.base, PPoly) and self.base.c.shape[1] == 1 and self.fade == self.duration
+    def _own(self) -> Floats | None:
+        """The base's coefficients ``(k, n)``, the lowest first, if it has one piece, and corrections take as long."""
+        # With them the whole motion is one polynomial. PPoly's attributes are dear.
+        same = self.fade == self.duration and isinstance(self.base, PPoly)
+        return c[::-1, 0] if same and (c := self.base.c).shape[1] == 1 else None
 
     @cached_property
     def _factors(self) -> Floats:
         """``(6, 3 n)`` coefficients in s of the corrections, their rates and accelerations, or of the whole motion."""
         times = self.fade ** _POWERS[:3]
         factors = _FADING @ (self.differences * times)
-        if self._one:
-            own = self.base.c[::-1, 0]
-            factors[: len(own)] += own * self.base.x[-1] ** _POWERS[: len(own)]
+        if self._own is not None:
+            factors[: len(self._own)] += self._own * (self.duration / self.slower) ** _POWERS[: len(self._own)]
         return np.asarray((_DERIVATIVES @ factors).reshape(6, 3, -1) / times).reshape(6, -1)
 
     def _add_base(self, result: Floats, t: Floats) -> None:
@@ -124,7 +126,7 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
         PlanError: no transition tried keeps the limits and the clearance.
     """
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
-    differences = now.copy()
+    differences, lasts = now.copy(), float(base.x[-1])
     differences[:2] -= base.c[:-3:-1, 0]
     refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
@@ -134,7 +136,7 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
     def blocked_after(share: float) -> str | None:
         if clear is not None and share not in known:
             before = _SHARES[_SHARES.index(share) - 1]
-            rest = base.x[-1] * looked[(share < looked) & (looked <= before)]
+            rest = lasts * looked[(share < looked) & (looked <= before)]
             known[share] = blocked_after(before) or clear(base(rest))
         return known.get(share)
 
@@ -143,15 +145,15 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
     for slower, share in product(_SLOWER, _SHARES if moves else _SHARES[:1]):
         blocked = blocked_after(share)
         if not blocked:
-            result = Transition(base, slower, differences, share * slower * float(base.x[-1]))
-            states, seen = result.even, result.even[0, ::2]
+            result = Transition(base, slower, differences, share * slower * lasts)
+            states = result.even
             if share < 1.0:
                 of_fade = result(result.fade * _OF_FADE)
+                seen = np.concatenate([of_fade[0], states[0, ::2][looked <= share]])
                 states = np.concatenate([of_fade, states], axis=1)
-                seen = np.concatenate([of_fade[0], seen[looked <= share]])
             if (np.abs(states[1:]) > limits).any() or (arm.limit_excess(states[0]) > LIMIT_TOLERANCE).any():
                 continue
-            blocked = None if clear is None else clear(seen)
+            blocked = None if clear is None else clear(seen if share < 1.0 else _evenly(states[0]))
             if blocked is None:
                 return result
         refusal = f"no transition keeps clear of {blocked}"
@@ -161,11 +163,22 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
     raise PlanError(refusal)
 
 
+def _evenly(q: Floats) -> Floats:
+    """Configurations along ``(K, n)``, as far from each other as every second one of these is at most."""
+    steps = q[1:] - q[:-1]
+    ways = np.sqrt(np.vecdot(steps, steps))
+    way = np.add.accumulate(ways)
+    count = math.ceil(way[-1] / (2.0 * np.maximum.reduce(ways) + 1e-12))
+    at = way[-1] / max(count, 1) * np.arange(1.0, count)
+    k = way.searchsorted(at)
+    return np.concatenate([q[:1], q[k + 1] - ((way[k] - at) / ways[k])[:, None] * steps[k], q[-1:]])
+
+
 def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
     """The straight minimum-jerk motion within `BASE_FRACTION` of the limits, in at least ``least`` [s]."""
     distance = np.abs(target - start)
     # The law's largest speed and acceleration on [0, 1].
-    duration = max(least, _slower(arm, 1.875 * distance, 10.0 / np.sqrt(3.0) * distance))
+    duration = max(least, _slower(arm, 1.875 * distance, 10.0 / math.sqrt(3.0) * distance))
     factors = np.zeros((6, 1, len(start)))
     for k, factor in enumerate((6.0, -15.0, 10.0)):
         factors[k] = factor / duration ** (5 - k) * (target - start)
@@ -183,5 +196,5 @@ def along(arm: Arm, motion: Motion) -> PPoly:
 
 def _slower(arm: Arm, rates: Floats, accelerations: Floats) -> float:
     """How many times longer a motion of these rates must take to keep `BASE_FRACTION` of the limits."""
-    fast = (np.abs(rates) / (BASE_FRACTION * arm.velocity_limits)).max()
-    return float(max(fast, np.sqrt((np.abs(accelerations) / (BASE_FRACTION * arm.acceleration_limits)).max())))
+    fast, bent = np.abs(rates) / arm.velocity_limits, np.abs(accelerations) / arm.acceleration_limits
+    return max(float(fast.max()) / BASE_FRACTION, math.sqrt(bent.max() / BASE_FRACTION))

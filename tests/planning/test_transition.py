@@ -78,9 +78,25 @@ def test_a_short_fade_is_looked_at_by_itself(gantry):
     with pytest.raises(PlanError, match="keeps clear of a chair"):
         transition(gantry, -moving(0.05), base, clear)
     # The first transition, the base after half of it, and the fade with what is within it; and so on.
-    assert looked[:5] == [49, 24, 16 + 25, 12, 16 + 13]
+    assert looked[1:5] == [24, 16 + 25, 12, 16 + 13]
     # Then only fades are left.
     assert len(looked) == 5 * 5 + 4
+
+
+def test_it_is_looked_at_evenly_along_its_way(gantry):
+    """No further apart than 49 even times, in about half as many places, and on it."""
+    looked = []
+    for now in (np.zeros((3, 4)), moving(0.05), -moving(0.05)):
+        made = transition(gantry, now, straight(gantry, np.zeros(4), TARGET, 1.0), looked.append)
+        timed, q = made(np.linspace(0.0, made.duration, 49))[0], looked.pop()
+        gaps, most = (np.linalg.norm(np.diff(part, axis=0), axis=1) for part in (q, timed))
+        assert gaps.max() <= 1.01 * most.max()
+        assert len(q) < 33
+        np.testing.assert_array_equal(q[[0, -1]], timed[[0, -1]])
+        dense = made(np.linspace(0.0, made.duration, 2000))[0]
+        off = np.linalg.norm(q[:, None] - dense, axis=2).min(axis=1)
+        assert off.max() < 0.02 * gaps.max()
+        assert np.ptp(gaps) < 0.05 * gaps.max()
 
 
 def test_what_is_in_the_way_of_the_base_is_in_the_way_of_all_that_end_on_it(gantry):
