@@ -71,9 +71,11 @@ class Coordinates:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
-            # Reordered here, since SciPy's `scalar_first` takes as long as the rest; with one axis as in `lie.exp`.
-            turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls].reshape(-1, 3)).as_quat()
-            qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]] = turns.reshape(*q.shape[:-1], len(self.balls), 4)
+            # In a quarter of the time of SciPy's `Rotation`.
+            angles = self.angles(q)[..., None]
+            qpos[..., self.ball_addresses[:, :1]] = np.cos(0.5 * angles)
+            parts = np.sin(0.5 * angles) / np.maximum(angles, 1e-150)
+            qpos[..., self.ball_addresses[:, 1:]] = parts * q[..., self.balls]
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:

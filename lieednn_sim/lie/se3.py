@@ -101,8 +101,8 @@ def turn_of(turns: Sequence[Floats]) -> Floats:
     angles = [np.sqrt(np.add.reduce(turn * turn)) for turn in turns]
     if len(turns) == 1:
         return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
-    real, part = np.float64(1.0), np.zeros_like(turns[0])
-    for angle, turn in zip(angles, turns, strict=True):
+    real, part = np.cos(0.5 * angles[0]), np.sin(0.5 * angles[0]) / np.maximum(angles[0], 1e-150) * turns[0]
+    for angle, turn in zip(angles[1:], turns[1:], strict=True):
         cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
         dot = np.add.reduce(part * sine)
         real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)

@@ -81,7 +81,10 @@ class Transition:
 
     def acceleration(self, time: float) -> Floats:
         """Accelerations ``(n,)`` at a time."""
-        return np.asarray(self(np.array([time]))[2, 0])
+        if self._own is None:
+            return np.asarray(self(np.array([time]))[2, 0])
+        powers = min(time / self.fade, 1.0) ** _POWERS[:, 0]
+        return np.asarray(powers @ self._factors[:, -self.differences.shape[1] :])
 
     def _sum(self, powers: Floats, orders: int = 3) -> Floats:
         """The corrections, or the whole motion, from powers of s ``(K, 6)``, the lowest first."""
