@@ -212,14 +212,13 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
         return _joined(arm, now, curve, u, min(u + most, curve.duration), fade, slows)
 
     back = 0.0
-    motion = joined(0.0)
-    if motion.in_time:
-        return motion
-    back = begin - curve.nearest(now[0], begin)
-    for late in (0.25, 0.5, 0.75, 1.0) if back else ():
+    for late in (0.0, 0.25, 0.5, 0.75, 1.0):
         motion = joined(late)
         if motion.in_time:
             return motion
+        back = back or begin - curve.nearest(now[0], begin)
+        if not back:
+            break
     # A state that is ahead would go back first.
     if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
         with suppress(PlanError):

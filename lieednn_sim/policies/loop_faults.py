@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.base import Policy, has_jumped
+from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.bounds import JointBounds
 from lieednn_sim.policies.planned import MotionTracker
 from lieednn_sim.validation import as_floats
@@ -129,7 +129,7 @@ class LoopRun:
             error = failure.with_traceback(None)
         if measured is not None:
             beyond = np.maximum(np.abs(measured - self._seen) - 0.01 * arm.ranges, 0.0)
-            if has_jumped(arm, beyond / (self._options.jump * (time - self._time))):
+            if (beyond > self._options.jump * (time - self._time) * arm.jump_speeds).any():
                 joint = arm.joint_names[int((beyond / arm.ranges).argmax())]
                 measured, kind, why = None, "jump", f"joint {joint!r} jumped"
         if measured is None:

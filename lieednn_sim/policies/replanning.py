@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -99,6 +99,11 @@ class ReplanningPolicy(CodedPolicy):
             raise InputError(f"the motion has {n} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         self._given, self._seed = motion, as_seed("seed", seed)
         self._options = self._defaults() if options is None else options
+
+    @classmethod
+    def of(cls, task: PolicyTask, options: ReplanningOptions) -> Self:
+        """The policy that begins with the task's motion."""
+        return cls(task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed)
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -345,10 +350,3 @@ class ReplanningPolicy(CodedPolicy):
             return False
         base = straight(self.arm, self.drawn, goal, self._options.least_duration)
         return self._foresee(lambda after: base(np.minimum(after, base.x[-1]))) is None
-
-
-def replanning(task: PolicyTask, options: ReplanningOptions) -> ReplanningPolicy:
-    """The policy that begins with the task's motion."""
-    return ReplanningPolicy(
-        task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed
-    )
