@@ -16,6 +16,7 @@ import scipy
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, quoted
@@ -23,8 +24,6 @@ from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
-
-    from lieednn_sim.arm.serial_arm import SerialArm
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
 _NEAR = 0.1  # how far from a hand what it holds may be [m], and as a fraction of the hand's distance from its base

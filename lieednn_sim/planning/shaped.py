@@ -29,7 +29,6 @@ from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen
 
-_GUIDE = GuideOptions()
 # Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
 _STRENGTHS = (STRENGTH, 4000.0)
 _STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
@@ -58,7 +57,7 @@ class ShapedOptions(NetworkOptions):
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
     guides: int = 1
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
-    guide: GuideOptions = _GUIDE
+    guide: GuideOptions = field(default=GuideOptions())
 
 
 @frozen

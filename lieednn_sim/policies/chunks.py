@@ -1,18 +1,13 @@
 """A certified network that follows chunks of joint targets, as learned policies emit them: late, and with faults.
 
 A chunk is judged before anything moves (`planning.chunks`): it is mended where that is safe, or refused, and then the
-old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
-acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. If it
-could not catch up before the curve is over, it goes on from an earlier time of the curve, the nearest one at the
-earliest, and is late, or slower. When chunks run out, it rests at the last target.
+old one goes on. The reference goes over to its curve at the time that it is now (`go_over`), and what has passed is
+dropped. When chunks run out, it rests at the last target. Limits, arrival and contact: `docs/howto/action_chunks.md`.
 
-What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
-need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
-where the rest is coded. Along a motion, which was looked at for contact at samples, no contact is proved ahead of the
-arm, a few intervals in each period, and it rests before the first one that cannot be proved. The proof is for joints
-within a tolerance of the motion, less at its beginning; where a look finds the network further off, another code is
-made. Nothing is proved of arms whose loops move parts (`Arm.dependents`), and among obstacles that were seen to move.
-The reference keeps the limits of velocity and acceleration by construction: it follows the network within them.
+The end of what is coded is the last target, or of a long chunk a point of its curve, from where the rest is coded. That
+nothing touches is proved a few intervals ahead in each period, for joints within a tolerance of the motion, less at its
+beginning; where a look finds the network further off, another code is made. Nothing is proved of arms whose loops move
+parts (`Arm.dependents`), and among obstacles that were seen to move.
 """
 
 from __future__ import annotations

@@ -220,24 +220,23 @@ class ReplanningPolicy(CodedPolicy):
 
     def _take_found(self, goal: Floats) -> None:
         """Take the path or evasion that was searched for, if it is there and due."""
+        path = self._path
         if self._search is not None:
             search, due, evades = self._search
             if not (search.done() if self._options.at_once else self._periods >= due):
                 return
             self._search = None
             try:
-                self._path = found(search)
+                path = found(search)
+                self._path = None if evades else path
                 if evades:
-                    way, self._path = self._path, None
-                    self._turn_to(way)
+                    self._turn_to(path)
                     return
             except PlanError as error:
                 self._reason, self._caught = str(error), evades
                 return
-        elif self._path is None or self._periods % self._options.look_every:
+        elif path is None or self._periods % self._options.look_every:
             return
-        path = self._path
-        assert path is not None
         # An obstacle may have moved into it meanwhile.
         passable = self._surroundings.blocked(self._sampled(path, 0.0, float(path.x[-1]))[1], only_moving=True) is None
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,9 @@ from lieednn_sim.arm.frames import chain_joints
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.step_stability import step_growth, without_stops
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
 
 SERVOS = ("keep", "design", "none")
 _FREQUENCY = 20.0  # natural frequency of a designed servo [Hz]
