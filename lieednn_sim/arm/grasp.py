@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
-_NEAR = 0.1  # how far from a hand what it holds may be [m], and as a fraction of the hand's distance from its base
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ def find_grasp(
         ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
         gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
         away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
-        near = _NEAR * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
+        near = 0.1 * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
         if away > near:
             raise InputError(
                 f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m "
