@@ -19,7 +19,6 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only
 
 MAX_PERIODS = 10**7
-_RESTS = 1e-9  # rates below are none [rad/s, m/s]
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class LimitedReference(JointBounds):
         extra = np.minimum(8.0 * np.abs(lag), np.sqrt(self.acceleration_limits * np.abs(lag)))
         rate = np.where(equal, rate, np.clip(rate + np.sign(lag) * extra, lower, upper))
         # At a limit of position rounding would leave rates for ever.
-        rate = np.where(np.abs(rate) < _RESTS, 0.0, rate)
+        rate = np.where(np.abs(rate) < 1e-9, 0.0, rate)
         self._mean = np.where(equal, mean, 0.5 * (self.qd + rate))
         self.q, self.qd = read_only(np.where(equal, there, self.q + h * self._mean)), read_only(rate)
 
