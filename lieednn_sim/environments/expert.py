@@ -20,6 +20,9 @@ from lieednn_sim.values import Floats
 
 __all__ = ["Expert"]
 
+# Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
+_PLANNING_DURATION = 10.0
+
 
 class Expert:
     """An expert policy for imitation learning, which has access to the arm and the task.
@@ -108,8 +111,7 @@ def planned(
 
     Besides, the proof of stability of the network that it comes from, in words; empty without one. Raises as `plan`.
     """
-    # It is sped up below; minimum jerk gives the same path in any duration.
-    result = plan(arm, target, planner=planner, duration=10.0, seed=seed)
+    result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
     # The rest of the limits is left to the servos. Nothing moves if it is already there.
     factor = slowdown(arm, motion.t, motion.qd, 0.9) or 1.0

@@ -26,6 +26,7 @@ from lieednn_sim.values import Floats, StrPath
 __all__ = ["TASKS", "Reach", "Track", "make_task"]
 
 REST = 0.01  # of its velocity limit: a joint that is slower is at rest
+_DRAWS = 40  # attempts to draw a random trajectory
 
 
 class Closeness:
@@ -163,7 +164,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> CubicHe
     total = as_positive("duration", duration)
     # A fraction of the joint ranges, which is reduced after a contact.
     home, spread = arm.keyframe("home"), 0.8
-    for _ in range(40):
+    for _ in range(_DRAWS):
         trajectory = _draw(arm, rng, home, total, spread)
         checked = trajectory(np.linspace(0.0, total, int(np.ceil(10.0 * total)) + 1))
         if not any(arm.contacts(q) for q in checked):

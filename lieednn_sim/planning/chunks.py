@@ -64,15 +64,14 @@ def read(
     Of poses, a `RigidTransform`, each becomes the joint target next to the one before, the first one near ``(n,)``. The
     chunk may not begin before the ``newest`` one, or be over ``now`` [s].
     """
-    kind, n = "reach", arm.n_joints
+    kind, n = "shape", arm.n_joints
     try:
         if hasattr(chunk, "as_matrix"):
-            q = [near]
+            kind, q = "reach", [near]
             for pose in chunk:
                 q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
             chunk = np.array(q[1:])
-        kind = "shape"
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else "shape"
         targets = as_floats("chunk", chunk, ("H", n))
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")

@@ -24,6 +24,8 @@ from lieednn_sim.simulation.tracking import default_controller, make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
+_KEPT_PERIODS = 1000  # of an endless run, for which the reference is kept
+
 
 @frozen
 class Following:
@@ -152,7 +154,7 @@ class ClosedLoop:
     def __init__(self, policy: Policy, controller: str, disturbances: Disturbances, rows: int | None = None) -> None:
         arm = policy.arm
         self.policy, self.period = policy, steps_of_rate("the policy's rate", policy.rate, arm.timestep)
-        self.reference = Reference(arm, 1000 * self.period if rows is None else rows)
+        self.reference = Reference(arm, _KEPT_PERIODS * self.period if rows is None else rows)
         self.driver, self.simulation = make_controlled(arm, controller, self.reference, disturbances)
         self._between, self._forgotten = interpolator(policy.period, self.period), 0
         self._endless = rows is None
