@@ -31,7 +31,7 @@ from lieednn_sim.planning.transition import EVEN
 from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice, quoted
+from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
 # Kinds of findings that are repaired by default; and the way between samples at which contact is looked for [rad, m].
@@ -54,13 +54,8 @@ class ChunkOptions(ReplanningOptions):
             was blended itself (temporal ensembling with weights that fall exponentially with age).
     """
 
-    repaired: tuple[str, ...] = _REPAIRED
+    repaired: tuple[str, ...] = field(default=_REPAIRED, metadata={"choices": (*_REPAIRED, "contact")})
     newest: float = field(default=1.0, metadata={"range": (0.0, 1.0)})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for kind in self.repaired:
-            as_choice("repaired", kind, (*_REPAIRED, "contact"))
 
 
 @dataclass(frozen=True)
