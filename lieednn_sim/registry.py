@@ -337,12 +337,12 @@ _POLICIES = {
         "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
     ),
     "lieednn-replanning": PolicyEntry(
-        "policies.replanning:replanning",
+        "policies.replanning:ReplanningPolicy.of",
         "a certified network that takes new targets and new paths, among obstacles that move",
         "ReplanningOptions",
     ),
     "lieednn-chunks": PolicyEntry(
-        "policies.chunks:chunks",
+        "policies.chunks:ChunkPolicy.of",
         "a certified network that follows chunks of targets, as learned policies emit them, within the limits",
         "ChunkOptions",
     ),

@@ -70,7 +70,7 @@ def evaluate(act: Act, episodes: int, where: Environment | None = None) -> dict[
 
 
 def jerk(velocities: Floats, period: float) -> float:
-    """Root mean square of the second differences of velocities ``(K, n)``, as `planning.motion.rms_jerk`."""
+    """Root mean square of the second differences of velocities ``(K, n)``, as `evaluation.metrics.motion_metrics`."""
     return float(np.sqrt(np.mean((np.diff(velocities, n=2, axis=0) / period**2) ** 2)))
 
 

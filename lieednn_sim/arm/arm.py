@@ -248,7 +248,7 @@ class Arm(ModelArm):
         Raises:
             InputError: there is no such body, or a value is malformed.
         """
-        more = float(as_floats("grown", grown, ()))
+        more = as_nonnegative("grown", grown)
         if self.spec is None:
             models = [copy.deepcopy(model) for model in (self.model, self.collision_model)]
             for model in filter(None, models):

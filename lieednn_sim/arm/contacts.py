@@ -138,11 +138,8 @@ class ContactFinder:
 
     def first(self, qpos: Floats) -> int:
         """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
-        model, data = self._model, self._data
-        for index, data.qpos[:] in enumerate(qpos):
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            if data.ncon and self._distances().min() < self._margin:
+        for index, row in enumerate(qpos):
+            if self._found(row) and self._distances().min() < self._margin:
                 return index
         return len(qpos)
 

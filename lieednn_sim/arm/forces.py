@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import SCALAR
+from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.grasp import Grasp
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.coordinates import Coordinates
-    from lieednn_sim.arm.grasp import Grasp
 
 # Kinds of transmission by which an actuator drives a joint.
 ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

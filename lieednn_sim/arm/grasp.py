@@ -16,6 +16,7 @@ import scipy
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, quoted
@@ -24,10 +25,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from lieednn_sim.arm.serial_arm import SerialArm
-
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
-_NEAR = 0.1  # how far from a hand what it holds may be [m], and as a fraction of the hand's distance from its base
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +87,7 @@ def find_grasp(
         ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
         gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
         away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
-        near = _NEAR * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
+        near = 0.1 * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
         if away > near:
             raise InputError(
                 f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m "

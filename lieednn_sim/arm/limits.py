@@ -18,8 +18,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats
 
-# Fraction of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
-_ACCELERATING_FRACTION = 0.5
 _ROUNDING = 1e-6  # how far beyond a range rounding may lead [rad, m]
 
 
@@ -73,7 +71,8 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
     load = np.abs(np.vecmat(required_forces(model, configurations, limited=True), rates)).max(axis=0)
     # A limit of zero would allow no motion; where an actuator cannot hold its load, plans and runs say so.
     known = (force > load) & (inertia > 0.0)
-    return np.where(known, _ACCELERATING_FRACTION * (force - load) / np.where(known, inertia, 1.0), np.inf)
+    # Half of the spare force: the rest is for friction and coupling to other joints.
+    return np.where(known, 0.5 * (force - load) / np.where(known, inertia, 1.0), np.inf)
 
 
 class Stops:

@@ -29,7 +29,6 @@ SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
-_FARTHEST = 200.0  # from the origin [m]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -83,7 +82,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
     away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1) * colliding_geoms(model)
-    if away.max(initial=0.0) > _FARTHEST:
+    if away.max(initial=0.0) > 200.0:  # [m]
         name = geom_name(model, int(away.argmax()))
         raise InputError(f"{source}: {name!r} is {away.max():.3g} m away; lengths are in metres, not millimetres")
     if not colliding_geoms(model).any() and not spec.texts:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,15 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.equalities import involved_joints, names
 from lieednn_sim.arm.forces import actuator_moments, required_forces
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
-
-_Arm = TypeVar("_Arm", bound="ModelArm")
+_Arm = TypeVar("_Arm", bound=ModelArm)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,12 @@ def read_arm(
         notes: which of these were made or narrowed.
     """
     check_numbers(model)
-    _check_integrator(model, arm)
+    # MuJoCo would silently integrate split steps, as of controllers, by Euler's method.
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "
+            'its <option integrator="..."> to implicitfast, implicit or Euler'
+        )
     viewed = chain is not None
     chain = read_chain(model, arm) if chain is None else chain
     group = [joint for group in chain.groups for joint in group]
@@ -221,15 +226,6 @@ def _factors(
             axis, alone = frame, [(coordinates.ball(model.jnt_qposadr[joint]), 1.0)]
         result[joint] = [Factor(kind, axis.reshape(3, -1), anchor, *where) for where in alone]
     return result
-
-
-def _check_integrator(model: mujoco.MjModel, arm: str) -> None:
-    """Raise `InputError` for RK4: MuJoCo would silently integrate split steps, as of controllers, by Euler's method."""
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError(
-            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "
-            'its <option integrator="..."> to implicitfast, implicit or Euler'
-        )
 
 
 def _check_turn(model: mujoco.MjModel, arm: str, joint: int, span: Floats) -> None:

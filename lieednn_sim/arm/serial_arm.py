@@ -90,6 +90,11 @@ class SerialArm:
         return np.asarray(high - low)
 
     @property
+    def jump_speeds(self) -> Floats:
+        """Speeds ``(n,)`` beyond which targets jump: the velocity limits, without one 10 rad/s or m/s."""
+        return np.where(np.isfinite(self.velocity_limits), self.velocity_limits, 10.0)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint coordinates; a ball joint's three end in ``_x``, ``_y``, ``_z``."""
         return self.space.names

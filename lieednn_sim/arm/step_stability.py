@@ -10,7 +10,6 @@ from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.values import Floats
 
 _GROWING = 1.01  # in one step, far more than rounding or a link that falls
-_SHORTER = 2.0 ** np.arange(1, 5)  # parts of a time step that may be short enough
 
 
 def without_stops(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -46,7 +45,7 @@ def step_remedy(model: mujoco.MjModel, qpos: Floats) -> str:
         option.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         if step_growth(model, qpos) < _GROWING:
             return f'{told} <option integrator="implicitfast"/>'
-    for option.timestep in step / _SHORTER:
+    for option.timestep in step / 2.0 ** np.arange(1, 5):
         if step_growth(model, qpos) < _GROWING:
             return f'{told} <option integrator="implicitfast" timestep="{option.timestep:g}"/>'
     return ""

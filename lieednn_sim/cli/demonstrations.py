@@ -17,7 +17,7 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import goal_distance
-from lieednn_sim.learning.demonstrations.family import describe, ridges_of
+from lieednn_sim.learning.demonstrations.family import describe
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.registry import RIVALS
@@ -234,10 +234,12 @@ def _print_verdict(learned: ShapedMotion | JointMotion) -> None:
 
 def _learned(learned: ShapedMotion | JointMotion) -> dict[str, Any]:
     """What a report says of the network."""
+    response = learned.response
     return {
         "network_message": learned.shaping.message,
         "network_deviation_m": learned.shaping.deviation,
         "network_within_deviation": learned.shaping.success,
         "network_certified": learned.network.certified,
-        "ridges": ridges_of(learned.response),
+        # JSON has no infinity.
+        "ridges": response and [ridge if np.isfinite(ridge) else None for ridge in response.ridges],
     }

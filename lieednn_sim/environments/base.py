@@ -13,7 +13,6 @@ from lieednn_sim.environments import observations
 from lieednn_sim.environments.observations import Bounds, LinkFrames, Observation, Observations, State, Target
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.simulation import make_plant
@@ -148,7 +147,11 @@ class ArmTask(ABC):
         if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
             raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
         timestep = self.arm.timestep
-        self.substeps = steps_in("control_timestep", control_timestep, timestep)
+        ratio = as_positive("control_timestep", control_timestep) / timestep
+        self.substeps = round(ratio)
+        if ratio < 0.5 or abs(ratio - self.substeps) > 1e-6 * ratio:
+            what = f"control_timestep must be a whole number of simulation steps of {timestep:g} s"
+            raise InputError(f"{what}, got {control_timestep:g} s = {ratio:.6g} steps")
         self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
         # Targets that move are drawn for all of it.

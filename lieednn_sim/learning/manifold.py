@@ -12,7 +12,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.theory import GroupLieEDNN
-from lieednn_sim.theory.groups import nonzero_quaternion
+from lieednn_sim.theory.groups import group
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.values import Floats, frozen
 
@@ -132,7 +132,7 @@ class QuaternionWeights:
 
 
 WeightManifold = SE3Weights | GroupWeights | QuaternionWeights
-_LEFT = np.asarray(nonzero_quaternion().basis)
+_LEFT = np.asarray(group("H^x").basis)
 
 
 def guarded(alpha: Floats) -> Floats:

@@ -179,12 +179,10 @@ class RiemannianTraining(Training[RiemannianOptions]):
         before, after = now.equilibrium.x, trial.equilibrium.x
         if not trial.equilibrium.success or np.abs(after - before).max() > self.options.max_jump:
             return False
-        if not self._loss(after) <= self._loss(before) - decrease:
+        loss, lost = (0.5 * float((x - self.goal) @ (x - self.goal)) for x in (before, after))
+        if not lost <= loss - decrease:
             return False
         return not self.arrived(trial) or self.stable(trial)
-
-    def _loss(self, x: Floats) -> float:
-        return 0.5 * float((x - self.goal) @ (x - self.goal))
 
     def _gradient_step(self, now: Iterate, nearby: SensitivityMatrix) -> tuple[Iterate, float]:
         """The trial against the gradient, and how much E^2/2 must fall."""

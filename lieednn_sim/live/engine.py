@@ -24,9 +24,6 @@ from lieednn_sim.stability import Certificate
 from lieednn_sim.stability.robustness import Decay
 from lieednn_sim.values import Floats, frozen
 
-# Network time for which a path is foreseen, and the number of its points.
-_HORIZON, _POINTS = 12.0, 120
-
 
 def _unfiltered(policy: Policy) -> Policy:
     return policy.inner if isinstance(policy, FilteredPolicy) else policy
@@ -138,8 +135,9 @@ def foreseen(
     if progress is None:
         return None
     network = progress.policy.network.retarget(arm.encode(target))
-    run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
-    decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
+    # For 12 of the network's own time, in 120 points.
+    run = network.trajectory(progress.xi, 12.0, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
+    decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], 120))), start=q).q
     points = np.vstack([decoded, target])
     return np.arange(len(points), dtype=float), points, np.gradient(points, axis=0)
 

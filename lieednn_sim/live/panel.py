@@ -20,8 +20,6 @@ _DIRECTIONS = {
     for axis, unit in zip("xyz", np.eye(3), strict=True)
     for sign, factor in (("+", 1.0), ("-", -1.0))
 }
-# Time that the plots show [s], and the least time between two samples.
-_SPAN, _STEP = 10.0, 0.1
 _BLUE, _GREEN, _ORANGE, _GREY = "#1f77b4", "#2f9e44", "#e67700", "#868e96"
 # Largest force [N], and the distance of the mouse at which a dragged link feels the force of the slider [m].
 _STRONGEST, _STRETCH = 500.0, 0.3
@@ -140,13 +138,13 @@ class Plots:
         tick, progress = snapshot.tick, snapshot.tick.progress
         if self._rows and tick.time < self._rows[-1][0]:
             self._rows.clear()
-        if self._rows and tick.time - self._rows[-1][0] < _STEP:
+        if self._rows and tick.time - self._rows[-1][0] < 0.1:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
         # On a logarithmic scale.
         self._rows.append((tick.time, *(max(value, 1e-3) for value in values)))
-        while tick.time - self._rows[0][0] > _SPAN:
+        while tick.time - self._rows[0][0] > 10.0:
             self._rows.popleft()
         if len(self._rows) > 1:
             t, distance, own, bound, tracking = np.array(self._rows).T

@@ -127,27 +127,21 @@ class Session:
             try:
                 q = solve_ik(self._aimer_arm, goal, rotation, start=near)
             except NoSolutionError as error:
-                problem = str(error)
-                self._requests.put(lambda: self._refuse(goal, rotation, problem))
+                self._requests.put(partial(self._refuse, goal, rotation, str(error)))
             else:
-                self._requests.put(lambda: self._retarget(q))
+                self._requests.put(partial(self._retarget, q))
 
         self._aimer.submit(search)
 
     def aim_at(self, q: ArrayLike | str) -> None:
         """Move the target to joint coordinates ``(n,)``, or a keyframe's; `InputError` if the arm cannot be there."""
         goal = self.arm.check_position(q, "target")
-        self._aimer.submit(lambda: self._requests.put(lambda: self._retarget(goal)))
+        self._aimer.submit(lambda: self._requests.put(partial(self._retarget, goal)))
 
     def aim_randomly(self, seed: Seed) -> None:
         """Move the target to a random one of the scene, see `draw_target`."""
         number = as_seed("seed", seed)
-
-        def draw() -> None:
-            q = draw_target(self._aimer_arm, number)
-            self._requests.put(lambda: self._retarget(q))
-
-        self._aimer.submit(draw)
+        self._aimer.submit(lambda: self._requests.put(partial(self._retarget, draw_target(self._aimer_arm, number))))
 
     def push(self, link: str, force: ArrayLike, duration: float = 0.2) -> None:
         """Push a link, or another body, by a force ``(3,)`` [N], along the world's axes, for a time [s]."""

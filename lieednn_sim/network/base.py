@@ -399,14 +399,6 @@ class BlockNetwork(ABC):
         return {field.name: meta[field.name] for field in cls._stored("float", "int", "str")}
 
 
-def as_strengths(alpha: ArrayLike) -> Floats:
-    """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
-    checked = as_floats("alpha", alpha, ("N", "N"))
-    if len(checked) == 0:
-        raise InputError("alpha must have shape (N, N) with N >= 1, got (0, 0)")
-    return checked
-
-
 def as_rates(gamma: float, mu: float) -> dict[str, float]:
     """Return gamma and mu checked, by name."""
     as_ratio(gamma, mu)

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, as_strengths, checked_fields, flatten_blocks
+from lieednn_sim.network.base import BlockNetwork, checked_fields, flatten_blocks
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
+from lieednn_sim.stability.norms import as_weight
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
@@ -100,7 +101,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     _kind: ClassVar[str] = "network"
 
     def __post_init__(self) -> None:
-        alpha = as_strengths(self.alpha)
+        alpha = as_weight("alpha", self.alpha)
         n = len(alpha)
         set_fields(
             self,

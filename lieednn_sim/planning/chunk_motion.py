@@ -206,31 +206,26 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
     down until that is in time. Velocities and accelerations are checked at samples, against the limits, and positions
     too; `PlanError` if none of those tried keeps them.
     """
-
-    def joined(late: float, slows: bool = False) -> ChunkMotion:
-        u = begin - late * back
-        return _joined(arm, now, curve, u, min(u + most, curve.duration), fade, slows)
-
     back = 0.0
-    motion = joined(0.0)
-    if motion.in_time:
-        return motion
-    back = begin - curve.nearest(now[0], begin)
-    for late in (0.25, 0.5, 0.75, 1.0) if back else ():
-        motion = joined(late)
+    for late in (0.0, 0.25, 0.5, 0.75, 1.0):
+        motion = _joined(arm, now, curve, begin - late * back, most, fade)
         if motion.in_time:
             return motion
+        back = back or begin - curve.nearest(now[0], begin)
+        if not back:
+            break
     # A state that is ahead would go back first.
     if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
         with suppress(PlanError):
-            return joined(1.0, slows=True)
+            return _joined(arm, now, curve, begin - back, most, fade, slows=True)
     return motion
 
 
 def _joined(
-    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, slows: bool
+    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float, slows: bool = False
 ) -> ChunkMotion:
-    """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
+    """The transition that joins a curve at a time, and rests at most so much later; see `go_over`."""
+    end = min(begin + most, curve.duration)
     v, a = limits = np.array([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
@@ -245,8 +240,8 @@ def _joined(
         away = np.abs(differences := now - [there, slope / slower * (ramp > 0.0), turn / slower**2 * (ramp > 0.0)])
         soonest = _soonest(away, 0.5 * limits)
         if soonest > fade:
-            most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
-            soonest = _soonest(away, np.maximum(limits - most, 0.5 * limits))
+            taken = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
+            soonest = _soonest(away, np.maximum(limits - taken, 0.5 * limits))
         result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
         if slows and not result.in_time:
             continue

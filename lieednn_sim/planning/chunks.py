@@ -20,8 +20,6 @@ from lieednn_sim.values import Floats
 
 # Chunks with more jumps than this are no motion; with more targets, the first of a length would take long to fit.
 MOST_JUMPS, MOST_TARGETS = 4, 256
-# How far ahead the last target may be: beyond that its times are of another clock, or in another unit [s].
-_FARTHEST = 120.0
 
 
 @dataclass(frozen=True)
@@ -66,15 +64,14 @@ def read(
     Of poses, a `RigidTransform`, each becomes the joint target next to the one before, the first one near ``(n,)``. The
     chunk may not begin before the ``newest`` one, or be over ``now`` [s].
     """
-    kind, n = "reach", arm.n_joints
+    kind, n = "shape", arm.n_joints
     try:
         if hasattr(chunk, "as_matrix"):
-            q = [near]
+            kind, q = "reach", [near]
             for pose in chunk:
                 q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
             chunk = np.array(q[1:])
-        kind = "shape"
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else "shape"
         targets = as_floats("chunk", chunk, ("H", n))
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
@@ -87,7 +84,7 @@ def read(
         old = f"its last target was for {last:.3f} s, it is {now:.3f} s"
     elif begin < newest:
         old = f"it begins at {begin:.3f} s, one that begins at {newest:.3f} s came before"
-    elif last > now + _FARTHEST:
+    elif last > now + 120.0:  # times of another clock, or in another unit
         kind, old = "times", f"its last target is for {last:.1f} s, now is {now:.1f} s; t0 is as policy.now, dt in s"
     if old:
         raise RefusedError(Finding(kind, old))
@@ -129,7 +126,7 @@ def judge(
         beyond, repaired = far, [kind for kind in repaired if kind != "limits"]
     for row, joint in beyond:
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
-    speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
+    speed = arm.jump_speeds
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
     steps, jumps = mended[1:] - mended[:-1], list[list[int]]()
     bends = np.abs(steps[1:] - steps[:-1])
@@ -159,17 +156,13 @@ def judge(
         away = np.abs(curve.at(u)[0] - reference)
         for [joint] in _where(away > step * speed):
             note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
+    rates = ("speed", arm.velocity_limits, "/s"), ("acceleration", arm.acceleration_limits, "/s^2")
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):
         off = np.abs(curve.values[: b - a] - mended[a:b])
         for row, joint in _where(off > step * speed):
             note("outlier", "is off the smooth curve by", a + row, joint, off[row, joint], step * speed[joint])
-        for kind, limits, unit, (part, joint, row) in zip(
-            ("speed", "acceleration"),
-            (arm.velocity_limits, arm.acceleration_limits),
-            ("/s", "/s^2"),
-            curve.excess(arm, min(max(passed - begin, 0.0), curve.duration)),
-            strict=True,
-        ):
+        excess = curve.excess(arm, min(max(passed - begin, 0.0), curve.duration))
+        for (kind, limits, unit), (part, joint, row) in zip(rates, excess, strict=True):
             if part > 1.001:
                 row, limit = round((begin + row * curve.step) / step), float(limits[joint])
                 note(kind, f"is {part:.3g} times too fast, with", row, joint, part * limit, limit, unit)

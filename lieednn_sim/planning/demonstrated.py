@@ -28,7 +28,6 @@ from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats, StrPath, frozen
 
-_STEPS = 200  # of the phase
 _LEAST_LENGTH = 1e-6  # below which nothing moves [m]
 DEVIATION = 1e-3  # default, relative to the length of the mean
 
@@ -83,7 +82,7 @@ class JointDemonstrations:
         for source, samples, _ in tables:
             shown.append(_within_limits(arm, source, samples, shown[0][-1] if shown else None))
         units = lever_units(arm, np.concatenate(shown))
-        fractions = np.linspace(0.0, 1.0, _STEPS + 1)
+        fractions = np.linspace(0.0, 1.0, 201)
         paths, times = [], []
         for q, (source, _, t) in zip(shown, tables, strict=True):
             states = (arm.encode(q) * units).reshape(len(q), -1)

@@ -30,8 +30,6 @@ from lieednn_sim.planning.path_constraints import outside, projected
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
-_RRT = RrtConnectOptions()
-
 
 @dataclass(frozen=True)
 class GuideOptions(PlannerOptions):
@@ -64,7 +62,7 @@ class GuideOptions(PlannerOptions):
     intervals: int = field(default=8, metadata={"range": (2, 1000)})
     instants: int = field(default=96, metadata={"range": (1, 10_000)})
     steps: int = 12
-    search: RrtConnectOptions = _RRT
+    search: RrtConnectOptions = field(default=RrtConnectOptions())
 
 
 def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[Plan], Plan], seeds: int = 1) -> Plan:

@@ -17,8 +17,6 @@ from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, proved_
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
-_INTERVALS = 128
-
 
 class ClearanceMonitor:
     """The errors of the joints for which a motion's clearance stays proved.
@@ -41,7 +39,7 @@ class ClearanceMonitor:
         self._off, self._bounds = np.zeros_like(q), bounds
         self._cubics = Cubics(self._step, q, qd, self._off)
         self._before: tuple[float, Floats] | None = None
-        self.edges = np.unique(np.linspace(0, self._last, _INTERVALS + 1).round())
+        self.edges = np.unique(np.linspace(0, self._last, 129).round())
         self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
         self.allowed = np.zeros(len(self._rest))
         if not isinstance(bounds, str):

@@ -99,16 +99,6 @@ def count_steps(duration: float, timestep: float) -> int:
     return round(ratio)
 
 
-def steps_in(what: str, period: float, timestep: float) -> int:
-    """Number of simulation steps in a control period [s], or `InputError` when it is no whole number."""
-    ratio = as_positive(what, period) / timestep
-    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise InputError(
-            f"{what} must be a whole number of simulation steps of {timestep:g} s, got {period:g} s = {ratio:.6g} steps"
-        )
-    return round(ratio)
-
-
 def steps_of_rate(what: str, rate: float, timestep: float) -> int:
     """Number of simulation steps in a period of a control rate [Hz]; `InputError` if that is no whole number.
 
@@ -171,12 +161,6 @@ def travelled(points: Floats) -> Floats:
     """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
     steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
     return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
-
-
-def rms_jerk(arm: Arm, motion: Motion) -> float:
-    """Root mean square of the joints' jerk, in units of their ranges [1/s^3]."""
-    jerk = np.diff(motion.qd / arm.ranges, n=2, axis=0) / motion.timestep**2
-    return float(np.sqrt(np.mean(jerk**2)))
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:

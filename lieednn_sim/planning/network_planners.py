@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, weakly_cached
-
-# The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
-_TRACKED = TrainingOptions.tracked(tolerance=1e-8)
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,8 @@ class TrainedOptions(CandidateOptions):
     """
 
     n_networks: int = 4
-    training: TrainingOptions = _TRACKED
+    # The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
+    training: TrainingOptions = field(default=TrainingOptions.tracked(tolerance=1e-8))
 
 
 def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:

@@ -34,11 +34,11 @@ class PlannerOptions:
         for entry in fields(self):
             value = _checked(entry.name, getattr(self, entry.name), kinds[entry.name])
             low, high = entry.metadata.get("range", (-math.inf, math.inf))
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, int | float) and not low <= number <= high:
-                    raise InputError(f"{entry.name} must be from {low:g} to {high:g}, got {number:g}")
-            if "choices" in entry.metadata:
-                as_choice(entry.name, value, entry.metadata["choices"])
+            for item in value if isinstance(value, tuple) else (value,):
+                if isinstance(item, int | float) and not low <= item <= high:
+                    raise InputError(f"{entry.name} must be from {low:g} to {high:g}, got {item:g}")
+                if "choices" in entry.metadata:
+                    as_choice(entry.name, item, entry.metadata["choices"])
             set_fields(self, **{entry.name: value})
 
 

@@ -34,7 +34,6 @@ _SAMPLES = 2000  # of a law
 _INSTANTS = 501  # of the path
 _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
-_LAWS = 4  # looked at
 _GROWTH = 1.05, 1.2  # of the duration of a law that breaks limits, at least and at most
 _SMOOTH = 1e-7  # weight of the mean square of the law's jerk, in units of the duration, against fractions of energies
 
@@ -147,7 +146,7 @@ class _LeastEnergy:
         now = fitted / (looks[0][-1] @ fitted)
         rough = math.sqrt(_SMOOTH / _LOOKS) * spline.derivative(2)(tau)
         best, unit = (math.inf, now), 0.0
-        for _ in range(_LAWS):
+        for _ in range(4):
             changes = [np.column_stack([part @ now, part]) for part in basis]
             lefts, each = self._model.left(duration / steps, changes, corrected=True)
             # All other loads together count as much as the arm's own.

@@ -29,10 +29,8 @@ from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen
 
-_GUIDE = GuideOptions()
 # Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
 _STRENGTHS = (STRENGTH, 4000.0)
-_STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
 _PIECES = 250  # of the guide's path, from whose ends the network's is so far
 
 
@@ -58,7 +56,7 @@ class ShapedOptions(NetworkOptions):
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
     guides: int = 1
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
-    guide: GuideOptions = _GUIDE
+    guide: GuideOptions = field(default=GuideOptions())
 
 
 @frozen
@@ -95,7 +93,7 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), guide=guide)
     tips = arm.tip_in_frames(given.q[given.ends(_PIECES)])
     units, start = lever_units(arm, given.q, tips), cpu_time()
-    network, encoded = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
+    network, encoded = _network(arm, options, np.concatenate([given.xi[:-1:2], given.xi_target[None]]), units)
     fit_time = cpu_time() - start
     if encoded:
         path = NetworkPath.encoded(arm, network, given, units)

@@ -21,7 +21,6 @@ from lieednn_sim.values import Floats
 
 _INSTANTS = 401  # at which the path is known
 _STATIONS = 41  # of the table
-_CORRECTIONS = 2  # of what swings by the linear model
 
 
 def longest_step(modes: Sequence[Mode]) -> float:
@@ -101,7 +100,7 @@ class SwingModel:
         drives = np.stack([np.ones_like(s), rate, rate**2, bend], axis=1)
         change, push, force = self._steps(step, self._table(s)[:, :1], drives)
         states = _marched(change, np.matvec(push, force))[:, 0]
-        for _ in range(_CORRECTIONS):
+        for _ in range(2):  # corrections of what swings by the linear model
             missing = self._missing(step, (s, rate, bend), states)
             correction = _marched(change, np.matvec(push, -missing))[:, 0]
             states = states + correction

@@ -43,7 +43,6 @@ _EASING_WIDTH = 0.1
 _RECORDED_WIDTH = 0.05
 _PIECES = 1000  # of the path, of equal length
 _GRID = 400  # pieces with one acceleration of the law on each
-_ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
 _INSTANTS = 2000  # at which laws are sampled
 _LOOKS = 251  # at which forces are looked at
 
@@ -136,7 +135,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
         PlanError: the path breaks a limit of position, or touches something.
         LieEDNNError: toppra is not installed; the message names the extra.
     """
-    if np.ptp(motion.q, axis=0).max() <= _ROUNDING:
+    if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
         return motion
     moving = np.ptp(motion.q, axis=0) > 0.0
     if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:

@@ -150,13 +150,3 @@ class Policy(ABC):
     def allowed(self) -> Floats:
         """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""
         return np.asarray(np.minimum(self.arm.velocity_limits, np.abs(self.qd) + self._max_gain))
-
-
-def has_jumped(arm: Arm, velocity: Floats) -> Floats:
-    """Whether targets at velocities ``(..., n)`` jump: beyond a joint's limit, or without one 10 rad/s or m/s."""
-    return np.asarray((np.abs(velocity) > jump_speeds(arm)).any(axis=-1))
-
-
-def jump_speeds(arm: Arm) -> Floats:
-    """The speeds ``(n,)`` beyond which targets jump, see `has_jumped`."""
-    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)

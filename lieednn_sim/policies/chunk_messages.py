@@ -98,9 +98,7 @@ class ChunkStep:
         """Nothing that a pipeline could be saved with: a policy is given when one is loaded."""
         return {}
 
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing, likewise."""
-        return {}
+    state_dict = get_config
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Does nothing."""
@@ -117,7 +115,7 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
         now: the policy's time that ``time_from_start`` counts from [s].
 
     Raises:
-        InputError: it is no such message, joints are missing, times do not increase, or positions are malformed.
+        InputError: it is no such message, times do not increase, positions are malformed, or a joint is not named once.
     """
     try:
         names, points = list(message.joint_names), list(message.points)
@@ -126,8 +124,8 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
         rows, rates = ([list(getattr(point, name)) for point in points] for name in ("positions", "velocities"))
     except (AttributeError, TypeError) as error:
         raise InputError(f"the message must be a trajectory_msgs/JointTrajectory: {error}") from None
-    if missing := [name for name in arm.joint_names if name not in names]:
-        raise InputError(f"the trajectory lacks the joints {', '.join(missing)}; it has {', '.join(names)}")
+    if wrong := [name for name in arm.joint_names if names.count(name) != 1]:
+        raise InputError(f"the trajectory lacks, or names twice, {', '.join(wrong)}; it has {', '.join(names)}")
     order, shape = [names.index(name) for name in arm.joint_names], (len(points), len(names))
     if not len(t) or (np.diff(t) <= 0.0).any():
         raise InputError(f"the times of a trajectory must increase from point to point, and it needs one; got {t}")

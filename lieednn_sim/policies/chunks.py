@@ -1,18 +1,13 @@
 """A certified network that follows chunks of joint targets, as learned policies emit them: late, and with faults.
 
 A chunk is judged before anything moves (`planning.chunks`): it is mended where that is safe, or refused, and then the
-old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
-acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. If it
-could not catch up before the curve is over, it goes on from an earlier time of the curve, the nearest one at the
-earliest, and is late, or slower. When chunks run out, it rests at the last target.
+old one goes on. The reference goes over to its curve at the time that it is now (`go_over`), and what has passed is
+dropped. When chunks run out, it rests at the last target. Limits, arrival and contact: `docs/howto/action_chunks.md`.
 
-What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
-need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
-where the rest is coded. Along a motion, which was looked at for contact at samples, no contact is proved ahead of the
-arm, a few intervals in each period, and it rests before the first one that cannot be proved. The proof is for joints
-within a tolerance of the motion, less at its beginning; where a look finds the network further off, another code is
-made. Nothing is proved of arms whose loops move parts (`Arm.dependents`), and among obstacles that were seen to move.
-The reference keeps the limits of velocity and acceleration by construction: it follows the network within them.
+The end of what is coded is the last target, or of a long chunk a point of its curve, from where the rest is coded. That
+nothing touches is proved a few intervals ahead in each period, for joints within a tolerance of the motion, less at its
+beginning; where a look finds the network further off, another code is made. Nothing is proved of arms whose loops move
+parts (`Arm.dependents`), and among obstacles that were seen to move.
 """
 
 from __future__ import annotations
@@ -22,10 +17,10 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
@@ -35,25 +30,17 @@ from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import EVEN
 from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.policies.coded_policy import GENTLY
-from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice, quoted
+from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 # Kinds of findings that are repaired by default; and the way between samples at which contact is looked for [rad, m].
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _APART = 0.05
-# The part of the limits of acceleration with which it brakes before what is not proved.
-_HARD = 0.8
 # Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
 _FADE, _HORIZON = 0.2, 1.5
 # How far the network may be from the motion whose clearance is proved [rad, m].
 _TOLERANCE = 1e-3
-# Rate at which the reference comes back to the network after limits held it back [1/s].
-_RETURN = 20.0
 
 
 @dataclass(frozen=True)
@@ -67,13 +54,8 @@ class ChunkOptions(ReplanningOptions):
             was blended itself (temporal ensembling with weights that fall exponentially with age).
     """
 
-    repaired: tuple[str, ...] = _REPAIRED
+    repaired: tuple[str, ...] = field(default=_REPAIRED, metadata={"choices": (*_REPAIRED, "contact")})
     newest: float = field(default=1.0, metadata={"range": (0.0, 1.0)})
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for kind in self.repaired:
-            as_choice("repaired", kind, (*_REPAIRED, "contact"))
 
 
 @dataclass(frozen=True)
@@ -278,8 +260,8 @@ class ChunkPolicy(ReplanningPolicy):
         """
         if (proof := self._proof) is None:
             return
-        # The deceleration of the pace with which it brakes.
-        most, half = _HARD / GENTLY * self._braking, 0.5 * self.period
+        # The deceleration of the pace with which it brakes, by 0.8 of the limits of acceleration.
+        most, half = 0.8 / GENTLY * self._braking, 0.5 * self.period
         enough = self.time + 4.0 * half * self.pace + self.pace**2 / (2.0 * most)
         for k in range(8):
             if proof.pair or (k and proof.time > enough):
@@ -315,7 +297,8 @@ class ChunkPolicy(ReplanningPolicy):
         inside, qd = super().act(measured, target)
         half, v, most = 0.5 * self.period, self.arm.velocity_limits, self._max_gain
         held = self.q + half * self.qd
-        rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
+        # After limits held it back, the reference comes back to the network at 20 / s.
+        rate = np.minimum(np.maximum(qd + 20.0 * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
         rate = braking_in_time(self.arm, held, rate, self.qd, self.period)
         return self._within_limits(held + half * rate), rate
@@ -370,8 +353,3 @@ class ChunkPolicy(ReplanningPolicy):
         """See `Policy`."""
         ahead = 0.0 if self._proof is None else min(self._proof.time, self.course.transition.duration) - self.time
         return np.append(super().channels(), [self.counts["accepted"], self.counts["refused"], max(ahead, 0.0)])
-
-
-def chunks(task: PolicyTask, options: ChunkOptions) -> ChunkPolicy:
-    """The policy that begins with the task's motion, and follows chunks."""
-    return ChunkPolicy(task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed)

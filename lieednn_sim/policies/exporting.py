@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.network.exporting import c_header, write_sources
-from lieednn_sim.policies.base import jump_speeds
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.values import StrPath
 
@@ -65,7 +64,7 @@ def write_policy(
         "high": (high, "of a ball joint, the largest angle"),
         "range": (arm.ranges, "their widths"),
         "max_speed": (arm.velocity_limits, "[rad/s, m/s]"),
-        "jump_speed": (jump_speeds(arm), "faster targets jump, and so do measured joints"),
+        "jump_speed": (arm.jump_speeds, "faster targets jump, and so do measured joints"),
         "max_acceleration": (arm.acceleration_limits, "[rad/s^2, m/s^2]"),
         "reference": (arm.joints.reference, "where every link's pose is the identity [rad, m]"),
         "ball": (balls, "whether a ball joint begins here"),

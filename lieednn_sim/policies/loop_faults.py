@@ -12,14 +12,13 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.base import Policy, has_jumped
+from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.bounds import JointBounds
 from lieednn_sim.policies.planned import MotionTracker
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only
 
 MAX_PERIODS = 10**7
-_RESTS = 1e-9  # rates below are none [rad/s, m/s]
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class LimitedReference(JointBounds):
         extra = np.minimum(8.0 * np.abs(lag), np.sqrt(self.acceleration_limits * np.abs(lag)))
         rate = np.where(equal, rate, np.clip(rate + np.sign(lag) * extra, lower, upper))
         # At a limit of position rounding would leave rates for ever.
-        rate = np.where(np.abs(rate) < _RESTS, 0.0, rate)
+        rate = np.where(np.abs(rate) < 1e-9, 0.0, rate)
         self._mean = np.where(equal, mean, 0.5 * (self.qd + rate))
         self.q, self.qd = read_only(np.where(equal, there, self.q + h * self._mean)), read_only(rate)
 
@@ -129,7 +128,7 @@ class LoopRun:
             error = failure.with_traceback(None)
         if measured is not None:
             beyond = np.maximum(np.abs(measured - self._seen) - 0.01 * arm.ranges, 0.0)
-            if has_jumped(arm, beyond / (self._options.jump * (time - self._time))):
+            if (beyond > self._options.jump * (time - self._time) * arm.jump_speeds).any():
                 joint = arm.joint_names[int((beyond / arm.ranges).argmax())]
                 measured, kind, why = None, "jump", f"joint {joint!r} jumped"
         if measured is None:

@@ -38,7 +38,6 @@ from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.shaped import lever_units
-from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.policies.exporting import write_policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
@@ -185,7 +184,7 @@ class NetworkPolicy(FeedbackPolicy):
         self._aimed, aim = (target, goal), goal
         if before is not None:
             rate = (target - before[0]) * self.rate
-            jumped = bool(has_jumped(self.arm, rate))
+            jumped = bool((np.abs(rate) > self.arm.jump_speeds).any())
             if self._feedforward and not jumped and rate.any():
                 moving = (goal - before[1]) * self.rate, rate
                 aim = goal + 0.5 * self.period * moving[0]

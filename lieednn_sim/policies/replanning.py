@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -99,6 +99,11 @@ class ReplanningPolicy(CodedPolicy):
             raise InputError(f"the motion has {n} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         self._given, self._seed = motion, as_seed("seed", seed)
         self._options = self._defaults() if options is None else options
+
+    @classmethod
+    def of(cls, task: PolicyTask, options: ReplanningOptions) -> Self:
+        """The policy that begins with the task's motion."""
+        return cls(task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed)
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -215,24 +220,23 @@ class ReplanningPolicy(CodedPolicy):
 
     def _take_found(self, goal: Floats) -> None:
         """Take the path or evasion that was searched for, if it is there and due."""
+        path = self._path
         if self._search is not None:
             search, due, evades = self._search
             if not (search.done() if self._options.at_once else self._periods >= due):
                 return
             self._search = None
             try:
-                self._path = found(search)
+                path = found(search)
+                self._path = None if evades else path
                 if evades:
-                    way, self._path = self._path, None
-                    self._turn_to(way)
+                    self._turn_to(path)
                     return
             except PlanError as error:
                 self._reason, self._caught = str(error), evades
                 return
-        elif self._path is None or self._periods % self._options.look_every:
+        elif path is None or self._periods % self._options.look_every:
             return
-        path = self._path
-        assert path is not None
         # An obstacle may have moved into it meanwhile.
         passable = self._surroundings.blocked(self._sampled(path, 0.0, float(path.x[-1]))[1], only_moving=True) is None
         try:
@@ -345,10 +349,3 @@ class ReplanningPolicy(CodedPolicy):
             return False
         base = straight(self.arm, self.drawn, goal, self._options.least_duration)
         return self._foresee(lambda after: base(np.minimum(after, base.x[-1]))) is None
-
-
-def replanning(task: PolicyTask, options: ReplanningOptions) -> ReplanningPolicy:
-    """The policy that begins with the task's motion."""
-    return ReplanningPolicy(
-        task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed
-    )

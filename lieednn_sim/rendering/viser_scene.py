@@ -18,8 +18,6 @@ from lieednn_sim.values import Floats
 _SMOOTH = 0.6
 # Poses are rounded to multiples of this, 0.1 mm or 0.1 mrad, since recordings of few digits are small.
 _RESOLUTION = 2.0**-13
-# Lines of the floor, which are visible on a white and on a dark background [RGB], and their distance [m].
-_FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
 
 
 class Shape(NamedTuple):
@@ -137,7 +135,8 @@ class ModelNodes:
 
 def add_floor(scene: Any, shapes: Shapes) -> None:
     """Draw a grid in place of each plane of the model, with shadows on it."""
-    line = {"size": _FLOOR_CELL, "color": _FLOOR, "thickness": 0.6}
+    # Visible on a white and on a dark background.
+    line = {"size": 0.5, "color": (158, 162, 168), "thickness": 0.6}
     lines = {f"{which}_{what}": value for which in ("cell", "section") for what, value in line.items()}
     for geom in shapes.floors:
         pose = {"position": shapes.model.geom_pos[geom], "wxyz": shapes.model.geom_quat[geom]}

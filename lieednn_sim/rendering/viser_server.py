@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import logging
 import socket
 import threading
 from collections.abc import Iterator, Mapping
@@ -37,6 +38,9 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
             raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
         yield server
     finally:
+        # What does not close by then, such as a connection that a browser holds without a use, would be waited for.
+        for connection in [each for started in asked for each in list(started.server.handlers)]:
+            connection.loop.call_soon_threadsafe(connection.loop.call_later, 0.3, connection.transport.abort)
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
 
@@ -73,14 +77,14 @@ def _is_address(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def _asking(host: str) -> Iterator[list[bool]]:
-    """Let servers that start in here look at each request; the list has an entry for each.
+def _asking(host: str) -> Iterator[list[Any]]:
+    """Let servers that start in here look at each request; the list has them.
 
     viser has no setting for it; its server is one of websockets', which asks the function ``process_request`` first.
     """
     import websockets.asyncio.server as websockets_server
 
-    serve, asked = websockets_server.serve, list[bool]()
+    serve, asked = websockets_server.serve, list[Any]()
 
     def serve_own_page(*args: Any, process_request: Any, **settings: Any) -> Any:
         def process(connection: Any, request: Any) -> Any:
@@ -88,8 +92,9 @@ def _asking(host: str) -> Iterator[list[bool]]:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
             return process_request(connection, request)
 
-        asked.append(True)
-        return serve(*args, process_request=process, **settings)
+        quiet = logging.Logger("viser", logging.CRITICAL)  # who connects and asks for nothing is no error
+        asked.append(serve(*args, process_request=process, logger=quiet, **settings))
+        return asked[-1]
 
     with _starting:
         websockets_server.serve = serve_own_page  # type: ignore[assignment,misc]

@@ -162,7 +162,7 @@ def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:
 
 
 class Pushes:
-    """Applies pushes to a plant; logs ``push_force`` ``(K, B, 3)`` on each of the B pushed bodies, world frame."""
+    """Forces of pushes on a plant; logs ``push_force`` ``(K, B, 3)`` on each of the B pushed bodies, world frame."""
 
     def __init__(self, arm: Arm, model: mujoco.MjModel, pushes: tuple[Push, ...]) -> None:
         self._pushes = [(push, push.body_id(arm, model)) for push in pushes]
@@ -190,10 +190,6 @@ class Pushes:
         # Compared halfway between steps, so that rounding of the times does not matter.
         half = 0.5 * self._timestep
         return (push.start - half < now) & (now < push.end - half)
-
-    def apply(self, data: mujoco.MjData, step: int) -> None:
-        """Set the forces of a step."""
-        data.xfrc_applied[:] = self.forces(range(step, step + 1))[0]
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """See `log.ChannelSource`."""

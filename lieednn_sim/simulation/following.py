@@ -16,7 +16,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.policies import Policy
-from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.simulation.disturbances import Disturbances, before
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
@@ -57,9 +56,9 @@ class Following:
     def jumps(self) -> tuple[float, ...]:
         """Times at which the policy saw that the target had jumped, faster than the joints' limits [s]."""
         seen = self.target[:: self.period]
-        t, arm = self.rollout.t[:: self.period], self.rollout.arm
-        velocity = np.diff(seen, axis=0) / (self.period * self.rollout.timestep)
-        return tuple(t[1:][has_jumped(arm, velocity)].tolist())
+        speed = np.abs(np.diff(seen, axis=0)) / (self.period * self.rollout.timestep)
+        jumped = (speed > self.rollout.arm.jump_speeds).any(axis=1)
+        return tuple(self.rollout.t[:: self.period][1:][jumped].tolist())
 
     def __repr__(self) -> str:
         return f"<Following: {self.rollout!r}, {len(self.jumps)} jumps of the target>"
@@ -99,9 +98,7 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = before(total * arm.timestep, arm.timestep, disturbances)
-    name = controller
-    if name is None:
-        name = default_controller(arm).replace("position-servo", "inverse-dynamics")
+    name = default_controller(arm).replace("position-servo", "inverse-dynamics") if controller is None else controller
     loop = ClosedLoop(policy, name, changes, rows=total + 1)
     period, simulation = loop.period, loop.simulation
     if period > total:

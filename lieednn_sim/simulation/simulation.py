@@ -41,7 +41,7 @@ class Simulation:
     Attributes:
         model: the plant.
         data: its state.
-        pushes: applies the pushes of the disturbances.
+        pushes: the forces of the pushes of the disturbances.
         sensors: draws the measurement errors.
         steps: number of steps since the last reset.
         noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
@@ -149,7 +149,7 @@ class Simulation:
     def advance_once(self) -> None:
         """Do one step as `advance` does, within the caller's `QuietWarnings`, which is entered once for many steps."""
         if self.disturbances.pushes:
-            self.pushes.apply(self.data, self.steps)
+            self.data.xfrc_applied[:] = self.pushes.forces(range(self.steps, self.steps + 1))[0]
         if self.disturbances.obstacles:
             self.move_obstacles()
         mujoco.mj_step(self.model, self.data)

@@ -129,8 +129,9 @@ def simulate(
             from the motion for the proof of its clearance.
 
     Raises:
-        InputError: the motion does not fit the model, or two channels have one name; or the run is to stop outside of
-            a proof, but there is none: of the motion, of sequences, or with obstacles that move.
+        InputError: the motion does not fit the model, or two channels have one name; a push begins when the run is
+            over, which of a sequence is known at its end alone; or the run is to stop outside of a proof, but there is
+            none: of the motion, of sequences, or with obstacles that move.
         SimulationError: a warning of MuJoCo or a state that is not finite, an event of a sequence does not come in
             time, or the run is to stop; it has the run up to there.
     """
@@ -181,6 +182,7 @@ def simulate(
                 error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
     if play is not None:
+        before((len(seen) - 1) * arm.timestep, arm.timestep, changes)
         end, meta["steps"] = play.end, tuple(play.begun)
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 

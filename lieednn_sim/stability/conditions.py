@@ -16,7 +16,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import Certificate, known_or_found, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
-from lieednn_sim.validation import as_positive, as_ratio, quoted
+from lieednn_sim.validation import as_choice, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
 #: Names of the stability conditions in hierarchical order; a verdict's level is one of these, or "none".
@@ -109,9 +109,7 @@ class Verdict:
     def __getitem__(self, name: str) -> Condition:
         """The condition with this name; `InputError` if there is none."""
         known = {condition.name: condition for condition in self.conditions}
-        if name not in known:
-            raise InputError(f"no condition {quoted(name)}; conditions are: {', '.join(known)}")
-        return known[name]
+        return known[as_choice("condition", name, known)]
 
     def __str__(self) -> str:
         if self.globally_stable:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
@@ -127,8 +126,3 @@ def motions(rows: Iterable[R]) -> list[R]:
     for row in rows:
         first.setdefault(row.motion, row)
     return list(first.values())
-
-
-def pattern_of(reason: str) -> str:
-    """The reason of a failure with names and numbers replaced by an ellipsis, to group similar ones."""
-    return re.sub(r"'[^']*'|[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?", "…", reason)

@@ -132,7 +132,7 @@ class Table(Generic[R]):
         timed = [column.name for column in columns_of(self._kind) if column.timed]
         names = [_quoted(entry.name) for entry in fields(self._kind) if entry.name not in timed]
         differ = " OR ".join(f"mine.{name} IS NOT its.{name}" for name in names)
-        attach = "ATTACH ? AS part", (_address(other.path, "rw"),)
+        attach = "ATTACH ? AS part", (f"{other.path.resolve().as_uri()}?mode=rw",)
         with _connected(self.path) as base:
             base.execute(*attach)
             both = f"SELECT {key} FROM rows AS mine JOIN part.rows AS its USING ({key}) WHERE {differ} LIMIT 1"
@@ -195,18 +195,15 @@ def _quoted(name: str) -> str:
     return f'"{name}"'
 
 
-def _address(path: Path, mode: str) -> str:
-    return f"{path.resolve().as_uri()}?mode={mode}"
-
-
 @contextlib.contextmanager
 def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
     """A connection to a file, for one transaction; the default journal also works on disks that machines share."""
     if mode == "rw" and not io.is_file(path):
         raise FileError(f"no such file: {path}")
+    address = f"{path.resolve().as_uri()}?mode={mode}"
     try:
         # Others that write are waited for up to a minute.
-        with contextlib.closing(sqlite3.connect(_address(path, mode), uri=True, timeout=60.0)) as base, base:
+        with contextlib.closing(sqlite3.connect(address, uri=True, timeout=60.0)) as base, base:
             # Of a file that anyone may have made.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
             base.execute("PRAGMA trusted_schema = OFF")

@@ -30,8 +30,6 @@ RESIDUAL_TOLERANCE = 1e-9
 _LARGEST_TRANSLATION = 20.0  # largest |t_ij| allowed
 _LARGEST_NORM = 1e3  # largest norm of W_R that is searched for, in units of gamma/mu
 _LARGEST_STACK = 2**23  # most derivatives of entries of the symmetric matrices in a stack: 64 MB
-# Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
-_POLISH_WEIGHTS = (0.05, 0.01, 0.001)
 
 
 @frozen
@@ -281,7 +279,8 @@ def _patient_attempt(task: _Task) -> None:
 
 def _offer_polished(stack: Sequence[_Task], problem: Problem, unknowns: Floats) -> None:
     """Offer each task its network, polished with smaller and smaller quaternion weights until it is accepted."""
-    for weight in _POLISH_WEIGHTS:
+    # The less the quaternions move, the better the certificate survives, but the larger the translations.
+    for weight in (0.05, 0.01, 0.001):
         if not stack:
             return
         state, required = (np.array([getattr(task, name) for task in stack]) for name in ("state", "required"))

@@ -51,31 +51,26 @@ def catalogue_name(item: MatrixLieGroup) -> str:
     return item.name
 
 
-@cache
 def so2() -> MatrixLieGroup:
     """Rotations of the plane; abelian."""
     return MatrixLieGroup("SO(2)", _TURN[None], partial(_identities, 2), _is_special_orthogonal)
 
 
-@cache
 def so3() -> MatrixLieGroup:
     """Rotations, coordinates omega: L[Ad_R] = R."""
     return MatrixLieGroup("SO(3)", se3.hat(np.eye(3)), project_to_rotation, _is_special_orthogonal)
 
 
-@cache
 def se2() -> MatrixLieGroup:
     """Planar rigid motions, twists (omega, v)."""
     return replace(affine(so2()), name="SE(2)", projection=_project_se2)
 
 
-@cache
 def rigid_motions() -> MatrixLieGroup:
     """SE(3), twists (omega, v): its adjoint matrices are those of `lieednn_sim.lie.adjoint`."""
     return replace(affine(so3()), name="SE(3)", projection=_project_se3)
 
 
-@cache
 def su2() -> MatrixLieGroup:
     """Unit quaternions as complex 2 x 2 matrices, basis -i sigma_k / 2.
 
@@ -84,7 +79,6 @@ def su2() -> MatrixLieGroup:
     return MatrixLieGroup("SU(2)", -0.5j * _PAULI, _project_su2, _is_special_unitary)
 
 
-@cache
 def su3() -> MatrixLieGroup:
     """Basis -i lambda_k / 2 with the Gell-Mann matrices lambda_k, in their usual order; the kernel has 3 elements."""
     gell_mann = np.zeros((8, 3, 3), dtype=np.complex128)
@@ -96,21 +90,18 @@ def su3() -> MatrixLieGroup:
     return MatrixLieGroup("SU(3)", -0.5j * gell_mann, None, _is_special_unitary)
 
 
-@cache
 def nonzero_complex() -> MatrixLieGroup:
     """C^x: a + bi as [[a, -b], [b, a]], coordinates (log modulus, angle); abelian."""
     basis = np.stack([np.eye(2), _TURN])
     return MatrixLieGroup("C^x", basis, partial(_identities, 2), partial(_is_nonzero_in, basis))
 
 
-@cache
 def nonzero_quaternion() -> MatrixLieGroup:
     """H^x: q as the real matrix of p -> q p, basis 1, i, j, k: L[Ad_q] = diag(1, R(q)); the kernel is R^x."""
     basis = _left_multiplication(np.eye(4))
     return MatrixLieGroup("H^x", basis, _project_quaternion, partial(_is_nonzero_in, basis))
 
 
-@cache
 def similarities() -> MatrixLieGroup:
     """Sim(3): rotation, positive scale and translation; coordinates (omega, log scale, v)."""
     basis = np.concatenate([se3.hat(np.eye(3)), np.eye(3)[None]])
@@ -134,15 +125,15 @@ def general_linear(n: int) -> MatrixLieGroup:
 
 #: Functions that construct the groups, by name; each group is constructed when it is first used.
 GROUPS: dict[str, Callable[[], MatrixLieGroup]] = {
-    "SO(2)": so2,
-    "SO(3)": so3,
-    "SE(2)": se2,
-    "SE(3)": rigid_motions,
-    "SU(2)": su2,
-    "SU(3)": su3,
-    "C^x": nonzero_complex,
-    "H^x": nonzero_quaternion,
-    "Sim(3)": similarities,
+    "SO(2)": cache(so2),
+    "SO(3)": cache(so3),
+    "SE(2)": cache(se2),
+    "SE(3)": cache(rigid_motions),
+    "SU(2)": cache(su2),
+    "SU(3)": cache(su3),
+    "C^x": cache(nonzero_complex),
+    "H^x": cache(nonzero_quaternion),
+    "Sim(3)": cache(similarities),
 }
 
 

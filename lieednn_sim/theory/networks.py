@@ -25,9 +25,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import as_rates, as_strengths, checked_fields
+from lieednn_sim.network.base import as_rates, checked_fields
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.network.se3 import RigidNetwork, as_poses, require_rotations
+from lieednn_sim.stability.norms import as_weight
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
 from lieednn_sim.validation import as_floats
@@ -73,7 +74,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
     _kind: ClassVar[str] = "group-network"
 
     def __post_init__(self) -> None:
-        alpha = as_strengths(self.alpha)
+        alpha = as_weight("alpha", self.alpha)
         n, d = len(alpha), self.group.dimension
         theta = as_numbers("theta", self.theta, (n, n, self.group.size, self.group.size))
         if outside := np.count_nonzero(~self.group.contains(theta)):
@@ -204,7 +205,7 @@ class EquivariantLieEDNN(RigidNetwork):
     _rows_alike: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        alpha = as_strengths(self.alpha)
+        alpha = as_weight("alpha", self.alpha)
         poses = as_poses(self.rotation, self.translation, alpha)
         set_fields(self, alpha=alpha, **poses, **checked_fields(self, (len(alpha), 6), len(alpha)))
 

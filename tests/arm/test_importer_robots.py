@@ -266,6 +266,9 @@ def test_faults_that_drawings_leave_in_an_urdf_are_named(tmp_path):
     path.write_text(URDF.replace('name="out2"', 'name="turn"'))
     with pytest.raises(InputError, match="several joints of the URDF have one name: 'turn'; give each its own"):
         Arm.load(path)
+    path.write_text(URDF.replace('<parent link="foot"/>', '<parent link="tube2"/>'))
+    with pytest.raises(InputError, match=r"derrick\.urdf: links carry each other in a circle: .*tube2.*; take out one"):
+        Arm.load(path)
     path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz="300 0 400"'))
     assert any("m large: are its lengths in millimetres?" in remark for remark in Arm.load(path).import_report.remarks)
 

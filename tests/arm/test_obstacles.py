@@ -205,3 +205,6 @@ def test_in_a_model_without_a_spec_obstacles_move_and_grow_as_in_one(gantry):
         np.testing.assert_array_equal(*distances)
         found_any += len(distances[0])
     assert found_any > 100
+    for each in (arm, bare):
+        with pytest.raises(InputError, match="grown must not be negative, got -1"):
+            each.with_moved_bodies(places, -1.0)

@@ -10,7 +10,6 @@ import pytest
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import (
-    MARK,
     atomic_path,
     atomic_paths,
     check_outputs,
@@ -23,6 +22,7 @@ from lieednn_sim.io import (
     save_arrays,
     save_json,
 )
+from lieednn_sim.io.writing import MARK
 from lieednn_sim.validation import as_path
 
 ARRAYS = {

@@ -242,8 +242,8 @@ def test_tampered_files_are_refused(tmp_path, change, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"alpha": np.zeros((0, 0))}, r"\(N, N\) with N >= 1"),
-        ({"alpha": np.ones((3, 2))}, r"alpha must have shape \(N, N\), got \(3, 2\)"),
+        ({"alpha": np.zeros((0, 0))}, r"\(n, n\) with n >= 1"),
+        ({"alpha": np.ones((3, 2))}, r"alpha must have shape \(n, n\), got \(3, 2\)"),
         ({"rotation": np.eye(3)}, r"rotation must have shape \(3, 3, 3, 3\), got \(3, 3\)"),
         ({"rotation": np.broadcast_to(-np.eye(3), (3, 3, 3, 3))}, "differs from I .* project with .*_to_rotation"),
         ({"translation": np.full((3, 3, 3), 1.7e308)}, r"translation must not exceed 1e\+100 in size"),

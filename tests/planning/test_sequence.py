@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import mujoco
 import numpy as np
 import pytest
@@ -119,6 +121,15 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     # Fingers that close later or sooner than planned only shift what follows.
     assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
+
+
+def test_a_push_after_the_end_of_a_sequence_is_refused(planned):
+    short = sequence(*planned[:2], [ls.Actuate(CLOSED, 0.1)])
+    step = short.arm.timestep
+    for start, late in ((0.2 - step, False), (0.2, True)):
+        changes = ls.Disturbances(pushes=(ls.Push("box", (0.0, 0.0, 1.0), start, 1.0),))
+        with pytest.raises(InputError, match=r"begin when the run is over, at 0\.2 s") if late else nullcontext():
+            ls.simulate(short.arm, short, hold=0.1, disturbances=changes)
 
 
 def test_an_event_that_does_not_come_ends_planning_and_run(planned):

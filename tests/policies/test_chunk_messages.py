@@ -156,7 +156,8 @@ def test_other_libraries_get_arrays_of_the_standard_library():
 @pytest.mark.parametrize(
     ("names", "t", "columns", "said"),
     [
-        (ARM.joint_names[1:], [0.0, 1.0], 7, "lacks the joints turn; it has lift, pitch"),
+        (ARM.joint_names[1:], [0.0, 1.0], 7, "lacks, or names twice, turn; it has lift, pitch"),
+        ((*ARM.joint_names, "lift"), [0.0, 1.0], 9, "lacks, or names twice, lift; it has turn, lift"),
         (ARM.joint_names, [0.0, 0.0], 8, "must increase from point to point"),
         (ARM.joint_names, [], 8, "must increase from point to point, and it needs one"),
         (ARM.joint_names, [0.0, 1.0], 7, "positions of the points"),

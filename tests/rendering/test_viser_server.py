@@ -1,6 +1,8 @@
 """Who may ask a server of viser: its own page and programs of this machine's user, not pages of other sites."""
 
+import contextlib
 import socket
+import time
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -61,6 +63,18 @@ def test_a_page_of_another_origin_gets_no_byte_of_the_scene():
             answer = b"".join(iter(lambda: raw.recv(65536), b""))
         assert answer.startswith(b"HTTP/1.1 403 ")
         assert b"<html" not in answer
+
+
+def test_it_stops_whatever_connections_a_browser_holds(caplog):
+    with contextlib.ExitStack() as held:
+        with quiet_server() as server:
+            address = "127.0.0.1", server.get_port()
+            _, kept = (held.enter_context(socket.create_connection(address)) for _ in range(2))
+            kept.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert kept.recv(15) == b"HTTP/1.1 200 OK"
+            begin = time.monotonic()
+        assert time.monotonic() - begin < 4.0
+    assert not caplog.records
 
 
 def test_a_viser_that_starts_otherwise_is_not_let_run_unasked(monkeypatch):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.planning.motion import steps_in, steps_of_rate
+from lieednn_sim.planning.motion import steps_of_rate
 from lieednn_sim.simulation import Disturbances, Log, Push, Simulation
 from lieednn_sim.simulation.reference import Reference
 
@@ -100,10 +100,7 @@ def test_references_ahead_of_what_is_known_go_straight_on(small_arms):
 
 
 def test_control_periods_are_whole_numbers_of_steps():
-    assert steps_in("control_timestep", 0.02, 0.002) == 10
     assert steps_of_rate("reference_rate", 100.0, 0.002) == 5
-    with pytest.raises(InputError, match=r"control_timestep must be a whole number of simulation steps of 0\.002 s"):
-        steps_in("control_timestep", 0.003, 0.002)
     with pytest.raises(InputError, match=r"reference_rate must divide the simulation's 500 Hz, got 150 Hz; for exam"):
         steps_of_rate("reference_rate", 150.0, 0.002)
 

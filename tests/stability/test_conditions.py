@@ -164,7 +164,7 @@ def test_wrong_input_is_named():
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=np.eye(3)), r"\(3N, 3N\) for a weight \(6N, 6N\)"),
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=1.1 * core), "must be the rotational blocks"),
         (lambda: assess(both_ways, gamma=1.0, mu=1.0, rotational_weight=core), "v drives omega"),
-        (lambda: assess(weight, gamma=1.0, mu=1.0)["log norm 3"], "no condition 'log norm 3'; conditions are: 1-norm"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0)["log norm 3"], "no condition 'log norm 3'; allowed: 1-norm"),
     ]
     for call, words in cases:
         with pytest.raises(InputError, match=words):

@@ -140,7 +140,7 @@ def test_tampered_files_are_refused(tmp_path, change, words):
     ("change", "words"),
     [
         ({"group": "SE(3)"}, "group must be a MatrixLieGroup, got 'SE.3.'; see lieednn_sim.theory.group"),
-        ({"alpha": np.zeros((0, 0))}, r"\(N, N\) with N >= 1"),
+        ({"alpha": np.zeros((0, 0))}, r"\(n, n\) with n >= 1"),
         ({"theta": np.eye(4)}, r"theta must have shape \(3, 3, 4, 4\), got \(4, 4\)"),
         ({"theta": np.zeros((3, 3, 4, 4))}, "9 of 9 are none; `project_to_adjoint` of the group"),
         ({"bias": np.zeros((3, 4))}, r"bias must have shape \(3, 6\)"),

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
 
 AUTO, NONE = "auto", "none"  # where `floor` is left to the importer, and where none is wanted
 FLOOR = "floor"  # the body of a floor that the importer or a scene has added

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,10 @@ from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import actuator_moments, affine_actuators, disabled_actuators, required_forces
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
 
 MARGIN = 0.05  # fraction of its range that home keeps away from each limit
 

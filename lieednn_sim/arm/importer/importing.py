@@ -53,7 +53,9 @@ def import_model(
     mending.mend_joints(spec, joints, notes)
     if source.suffix.lower() == ".urdf":
         mending.mend_inertias(spec, notes)
-    mending.replace_integrator(spec, notes)
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:  # which an arm must not have, see `parsing.read_arm`
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
     named = choose_chain(compiled, qpos, options, mending.planar_joints(joints), notes)

@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -191,8 +192,21 @@ def check_size(source: Path) -> None:
             # MuJoCo tells what is missing or wrong.
             continue
         _check_elements(root, path)
+        if root.tag == "robot":
+            _check_links(root, path)
         included = (source.parent / item.get("file", "") for item in root.iter("include") if item.get("file"))
         waiting += [item for item in included if item not in seen and item.is_file()]
+
+
+def _check_links(robot: ElementTree.Element, path: Path) -> None:
+    """Raise `InputError` for links of a URDF that carry each other in a circle; MuJoCo's message names none."""
+    joints = ((joint.find("child"), joint.find("parent")) for joint in robot.iterfind("joint"))
+    carriers = {a.get("link"): [b.get("link")] for a, b in joints if a is not None and b is not None}
+    try:
+        TopologicalSorter(carriers).prepare()
+    except CycleError as error:
+        circle = " - ".join(map(str, error.args[1]))
+        raise InputError(f"{path}: links carry each other in a circle: {circle}; take out one of its joints") from None
 
 
 def _check_elements(root: ElementTree.Element, path: Path) -> None:

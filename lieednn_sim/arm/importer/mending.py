@@ -1,4 +1,4 @@
-"""What a file needs before it can be an arm: possible inertias, an integrator, a base that stands, stiff ties.
+"""What a file needs before it can be an arm: possible inertias, a base that stands, stiff ties.
 
 And what MuJoCo leaves out of a URDF: limits that lock a joint or are wrong, planar joints, limits of velocities.
 """
@@ -136,13 +136,6 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
         notes.append(f"links without <inertial> got the inertia of their shapes, but no weight: {', '.join(guessed)}")
     if mended:
         notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
-
-
-def replace_integrator(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Replace RK4 by implicitfast, see `arm.parsing`."""
-    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
 
 
 def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Floats, notes: list[str]) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +17,9 @@ from lieednn_sim.arm.checks import SLIDE, ancestry, joints_of
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.home import MARGIN
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
 
 # Two ids, the smaller one first: of geoms or of bodies.
 _Pair = tuple[int, int]

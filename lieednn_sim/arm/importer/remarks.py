@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,21 +11,17 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
 from lieednn_sim.arm.forces import disabled_actuators, dry_friction, required_forces
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.kinematics import least_singular_value
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.step_stability import step_remedy
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.values import Floats
 
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
-
 _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 4  # pairs of bodies in a remark
-_MANY_TURNS = 4.0  # of a hinge with limits
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
 # `singularities.NEARLY_SINGULAR` paths begin to be straightened.
 _SINGULAR = 0.1
-_SLOW = 5.0  # worth a remark [Hz]
 
 
 def facts(arm: ModelArm) -> Iterator[str]:
@@ -45,7 +40,7 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
         yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
     turns = zip(arm.joint_names, arm.ranges, arm.continuous, strict=True)
     for joint, (name, span, endless) in enumerate(turns):
-        if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
+        if arm.unit(joint) == "rad" and span > 4.0 * 2.0 * np.pi and not endless:
             yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
     if (size := arm.model.stat.extent) > 200.0:  # [m]
         yield f"the model is {size:.3g} m large: are its lengths in millimetres?"
@@ -91,7 +86,7 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     loads = required_forces(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     frictions = dry_friction(arm.model, basis)
     design = "designed servos (servos='design', --servos design) or " if any(servo.kept for servo in servos) else ""
-    if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < _SLOW):
+    if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < 5.0):
         yield f"servos too slow to follow motions well: {slow}; what helps: {design}the controller inverse-dynamics"
     held = [by / servo.kp if servo.kp else 0.0 for servo, by in zip(servos, frictions, strict=True)]
     if stuck := ", ".join(f"{servos[j].name} {arm.amount(j, off)}" for j, off in enumerate(held) if off > _OFF):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,11 @@ from lieednn_sim.arm.frames import chain_joints
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.step_stability import step_growth, without_stops
 from lieednn_sim.values import Floats
 
-if TYPE_CHECKING:
-    from lieednn_sim.arm.model_arm import ModelArm
-
 SERVOS = ("keep", "design", "none")
-_FREQUENCY = 20.0  # natural frequency of a designed servo [Hz]
 _STABLE = -1e-6  # least decay rate at which the steps count as stable [1/s]
 # Least decay rate of the motions of tied stages [1/s], and the factors by which servos are slowed down for it.
 _DECAY, _SLOWDOWNS = 10.0, 0.8 ** np.arange(13)
@@ -44,7 +40,7 @@ class _Servo:
 
     def parameters(self, slower: float) -> tuple[Floats, Floats]:
         """MuJoCo's gain and bias parameters, ten each, of one slower by a factor."""
-        omega = 2.0 * np.pi * _FREQUENCY * slower
+        omega = 2.0 * np.pi * 20.0 * slower  # 20 Hz
         kp, kv = self.inertia * omega**2, 2.0 * self.inertia * omega
         return np.array([kp, *np.zeros(9)]), np.array([0.0, -kp, -kv, *np.zeros(7)])
 

@@ -136,11 +136,6 @@ def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
     return np.interp(fraction, passed / passed[-1], np.linspace(0.0, 1.0, len(curve)))
 
 
-def ridges_of(response: Response | None) -> list[float | None] | None:
-    """The ridges for a report in JSON, with None for an infinite one; None without a response."""
-    return None if response is None else [ridge if np.isfinite(ridge) else None for ridge in response.ridges]
-
-
 def describe(response: Response | None) -> str:
     """What a network makes of its start, in words."""
     if response is None:

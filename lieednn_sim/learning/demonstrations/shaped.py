@@ -21,7 +21,7 @@ from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, wit
 from lieednn_sim.learning.demonstrations.learned import LearnedMotion, network_grid
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, shifts
-from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
+from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_nonnegative, as_positive
 from lieednn_sim.values import Floats, frozen
 
 DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
@@ -141,9 +141,7 @@ class ShapedMotion(LearnedMotion):
         """
         spread, start_gain, reference = self._family()
         place, seen = self._via(via)
-        miss = float(as_floats("noise", noise, ()))
-        if miss < 0.0:
-            raise InputError(f"noise must be at least 0, got {miss:g}")
+        miss = as_nonnegative("noise", noise)
         if as_positive("fraction", fraction) >= 1.0:
             raise InputError(f"fraction must be between 0 and 1, got {fraction:g}")
         tau = np.array([0.0, np.interp(fraction, np.linspace(0.0, 1.0, len(self.t)), self.tau)])

@@ -34,15 +34,11 @@ class MocapWelds(Controller):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._arm, self._reference = arm, reference
-        self._solref, self._lead = self._weld(reference)
+        # The welds' time constant [s] and damping ratio, and the time by which the mocap bodies run ahead [s].
+        self._solref, self._lead = (0.01, 1.0), 0.02
         self._scratch = mujoco.MjData(arm.model)
         self._foreseen = Foreseen(reference)
         self._ids: NDArray[np.int_] = np.zeros(0, dtype=int)
-
-    def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
-        """Parameters solref of the welds, and the time [s] by which the mocap bodies run ahead."""
-        time_constant, damping_ratio = 0.01, 1.0
-        return (time_constant, damping_ratio), 2.0 * time_constant * damping_ratio**2
 
     def add_bodies(self, spec: Any) -> None:
         """See `Controller`."""
@@ -116,13 +112,14 @@ class DeadbeatWelds(MocapWelds):
     followed at once, with proportional forces; hence references held between samples are refused (`InputError`).
     """
 
-    def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
+    def __init__(self, arm: Arm, reference: Reference) -> None:
         if reference.hold > 1:
             raise InputError(
                 "the controller mocap-deadbeat follows every jump of its reference within one step, so it takes none "
                 f"that is held for {reference.hold} steps; use mocap, or leave reference_rate out"
             )
-        return (2.0 * reference.timestep, 0.5), reference.timestep
+        super().__init__(arm, reference)
+        self._solref, self._lead = (2.0 * reference.timestep, 0.5), reference.timestep
 
 
 def mocap_name(link: int) -> str:

@@ -120,11 +120,10 @@ def run_case(case: Case, controllers: Sequence[str], settings: Settings, *, user
         for name in controllers:
             try:
                 evaluation = evaluate(_simulate(arm, plan, name, settings))
+                reason, values = evaluation.shortfall, _measured(evaluation) | planned
             except LieEDNNError as error:
-                rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
-            else:
-                values = _measured(evaluation) | planned
-                rows += failed_case(case, [name], settings, evaluation.shortfall, **values)
+                reason, values = f"simulation: {error}", planned
+            rows += failed_case(case, [name], settings, reason, **values)
         return rows
 
 

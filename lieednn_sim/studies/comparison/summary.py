@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from lieednn_sim.evaluation.display import escaped, markdown_table, rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import settings_of
-from lieednn_sim.studies.rows import Column, Group, grouped, motions, pattern_of
+from lieednn_sim.studies.rows import Column, Group, grouped, motions
 from lieednn_sim.studies.table import Table
 from lieednn_sim.values import StrPath
 
@@ -138,7 +139,8 @@ def failures(rows: Iterable[Row]) -> list[Failure]:
     once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
     result: dict[str, list[Row]] = {}
     for row in once:
-        result.setdefault(pattern_of(row.reason), []).append(row)
+        pattern = re.sub(r"'[^']*'|[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?", "…", row.reason)
+        result.setdefault(pattern, []).append(row)
     created = []
     for pattern, members in result.items():
         counts = sorted(Counter(row.planner for row in members).items(), key=lambda item: (-item[1], item[0]))

@@ -142,7 +142,7 @@ def test_what_cannot_be_conditioned_says_why(noisy, learned):
             motion.condition([0.1, 0.1, 0.0], fraction=0.5)
     for via, more, message in (
         ([0.1, 0.1, 0.0], {"fraction": 1.0}, "fraction must be between 0 and 1, got 1"),
-        ([0.1, 0.1, 0.0], {"fraction": 0.5, "noise": -1.0}, "noise must be at least 0, got -1"),
+        ([0.1, 0.1, 0.0], {"fraction": 0.5, "noise": -1.0}, "noise must not be negative, got -1"),
         ([0.1, 0.1, 0.3], {"fraction": 0.5}, "third entry of 0, got 0.3"),
         (np.zeros(6), {"fraction": 0.5}, r"via must have shape \(3,\), got \(6,\)"),
         ([1e6, 0.0, 0.0], {"fraction": 0.5}, "no code leads to the via point: the motion ends up 1e"),
