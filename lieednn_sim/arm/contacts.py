@@ -138,8 +138,12 @@ class ContactFinder:
 
     def first(self, qpos: Floats) -> int:
         """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
-        for index, row in enumerate(qpos):
-            if self._found(row) and self._distances().min() < self._margin:
+        model, data = self._model, self._data
+        # Without a call for each of them, which takes a tenth of a look.
+        for index, data.qpos[:] in enumerate(qpos):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            if data.ncon and self._distances().min() < self._margin:
                 return index
         return len(qpos)
 
