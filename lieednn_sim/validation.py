@@ -91,7 +91,7 @@ def _converted(name: str, value: ArrayLike, shape: tuple[int | str, ...], batche
         if given.dtype.kind in "bSUmMV" or not _only_numbers(value):
             raise TypeError("every entry must be a number")
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError, MemoryError) as error:
+    except (TypeError, ValueError, OverflowError, MemoryError, RuntimeError) as error:
         if isinstance(error, InputError):
             raise
         # NumPy's messages may repeat a long string.

@@ -74,7 +74,7 @@ def read(
                 q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
             chunk = np.array(q[1:])
         kind = "shape"
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(chunk) <= MOST_TARGETS else kind
         targets = as_floats("chunk", chunk, ("H", n))
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")

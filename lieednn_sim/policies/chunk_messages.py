@@ -29,7 +29,8 @@ class ChunkStep:
     A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
     of the joints, as a tensor if chunks or states are. ``observation.state`` begins with the measured joints ``(n,)``
     of one instant, where the policy starts, also after `reset`. Further columns of a chunk, such as a gripper's, stay
-    as they are; before the first chunk there are none. The info says what became of a chunk, as ``chunk``.
+    as they are, at the time of the chunk that the reference is at; before the first chunk there are none. The info
+    says what became of a chunk, as ``chunk``.
 
     Args:
         policy: the policy, whose rate is that of the calls.
@@ -62,7 +63,7 @@ class ChunkStep:
         state = (transition.get("observation") or {}).get("observation.state")
         measured = None
         if state is not None:
-            seen = np.atleast_1d(np.asarray(state, dtype=float))
+            seen = _numbers("observation.state", state)
             seen = seen.ravel() if seen.size == seen.shape[-1] else seen
             measured = as_floats("observation.state", seen[..., :n], (n,)) * self._scale
         if self._stay is None:
@@ -72,17 +73,19 @@ class ChunkStep:
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
-            self._like, targets = getattr(chunk, "new_tensor", self._like), np.asarray(chunk, dtype=float)
+            self._like, targets = getattr(chunk, "new_tensor", self._like), _numbers("action", chunk)
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
+            joints = targets[..., :n] * self._scale[: targets.shape[-1]]
+            joints[~np.isfinite(targets).all(axis=-1)] = np.nan  # a gripper's, too
             delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
             begin = policy.now - max(float(delay), 0.0)  # clocks differ a little
-            verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)
+            verdict = policy.accept(joints, begin, self._dt)
             if verdict.accepted:
                 self._more = begin, targets[:, n:]
             result["info"] = {**(transition.get("info") or {}), "chunk": str(verdict)}
         q, _ = policy.step(measured, self._stay)
         begin, more = self._more
-        row = min(max(int((policy.now - begin) / self._dt + 1e-6), 0), len(more) - 1)
+        row = min(max(int((policy.chunk_time - begin) / self._dt + 0.1), 0), len(more) - 1)
         result["action"] = self._like(np.append(q / self._scale, more[row]))
         return result
 
@@ -104,6 +107,14 @@ class ChunkStep:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Does nothing."""
+
+
+def _numbers(name: str, value: Any) -> Floats:
+    """An array of numbers of any shape, which need not be finite."""
+    try:
+        return np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}: {error}") from None
 
 
 def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Floats, float, float]:

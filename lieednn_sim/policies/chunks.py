@@ -145,6 +145,19 @@ class ChunkPolicy(ReplanningPolicy):
         """The policy's time since its reset [s], in which the times of chunks are given."""
         return self._periods * self.period
 
+    @property
+    def chunk_time(self) -> float:
+        """The time of the newest chunk at which the reference is, as of `now` [s]; `now` where it follows none.
+
+        It is behind `now` where the chunk is joined late, is slower, or the arm does not keep up.
+        """
+        if self._curve is None:
+            return self.now
+        (begin, curve), motion = self._curve, self.course.transition
+        if not isinstance(motion, ChunkMotion):  # on another way to its end
+            return begin + curve.duration * (self.time >= motion.duration)
+        return begin + float(motion.base.clock(np.array([self.time]), 1)[0, 0])
+
     def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
         """Follow a chunk from now on, or refuse it; call it between two steps, or let `source` give it.
 
