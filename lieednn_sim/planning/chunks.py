@@ -76,6 +76,9 @@ def read(
         kind = "shape"
         kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(chunk) <= MOST_TARGETS else kind
         targets = as_floats("chunk", chunk, ("H", n))
+        if arm.continuous.any():
+            # Models often learn turns within half a turn of zero.
+            targets = np.array([near := arm.nearest_turn(row, near) for row in targets])
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
         kind = "times"

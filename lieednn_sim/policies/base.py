@@ -99,6 +99,8 @@ class Policy(ABC):
                 if far.any():
                     raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
+        if seen is not None and self.arm.continuous.any():
+            seen = self.arm.nearest_turn(seen, self.q)  # encoders may count within a turn
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:
             raise InputError(f"a policy's act must return joints and rates, two arrays of shape {shape}, got {given}")

@@ -143,6 +143,7 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
     if not len(t) or (np.diff(t) <= 0.0).any():
         raise InputError(f"the times of a trajectory must increase from point to point, and it needs one; got {t}")
     q = as_floats("positions of the points", rows, shape)[:, order]
+    q = np.where(arm.continuous, np.unwrap(q, axis=0), q)
     if len(t) == 1:
         return q, now + float(t[0]), 1.0
     count = min(math.ceil((t[-1] - t[0]) / np.diff(t).min() - 1e-6) + 1, MOST_TARGETS)

@@ -352,6 +352,7 @@ class ChunkPolicy(ReplanningPolicy):
         except RefusedError as refused:
             # It rests at the end of what it follows.
             self._command(self.course.transition.end, None)
+            self.verdict = replace(self.verdict, findings=(*self.verdict.findings, refused.finding))
             self.counts[refused.finding.kind] += 1
         super()._decide(self._wanted)
         self._prove()
