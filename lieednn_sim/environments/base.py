@@ -145,8 +145,13 @@ class ArmTask(ABC):
             self.arm = arm.with_scene(scene, scene_seed)
         else:
             self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
-        if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
-            raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
+        ends = np.isfinite([*self.arm.position_limits.T, self.arm.velocity_limits]).all(axis=0)
+        if not ends.all():
+            name = self.arm.joint_names[int(ends.argmin())]
+            raise InputError(
+                f"arm {self.arm.name!r} needs finite position and velocity limits, which scale the actions; give them, "
+                f"as in Arm.load(..., limits={{{name!r}: {{'velocity': 2.0}}}})"
+            )
         timestep = self.arm.timestep
         self.substeps = steps_in("control_timestep", control_timestep, timestep)
         self.control_timestep = self.substeps * timestep
