@@ -36,8 +36,10 @@ class ContactOffsets:
     """
 
     def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
-        self._margins = np.array(model.geom_margin)
-        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True)
+        self._margins, own = np.array(model.geom_margin), np.array(model.pair_margin)
+        if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+            self._margins[:], own[:] = 0.5 * model.opt.o_margin, model.opt.o_margin
+        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), own.tolist(), strict=True)
         self._special = {(min(a, b), max(a, b)): margin for a, b, margin in pairs}
         self._special |= {(min(pair), max(pair)): offset for pair, offset in given.items()}
         #: Whether all offsets are zero.
