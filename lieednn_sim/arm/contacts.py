@@ -160,8 +160,6 @@ class ContactFinder:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
         near = self.geoms(qpos)[1]
-        if not len(near):
-            return []
         # Not `model.body(...).name`, which takes as long as twenty passes.
         names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, k) or "" for k in model.geom_bodyid[near].ravel()]
         return list(dict.fromkeys(zip(names[::2], names[1::2], strict=True)))

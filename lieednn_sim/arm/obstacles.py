@@ -29,7 +29,7 @@ SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
-_FARTHEST, _LARGE = 200.0, 20.0  # from the origin, and in size [m]
+_FARTHEST, _LARGE = 200.0, 10.0  # from the origin, and from the own centre [m]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -140,8 +140,7 @@ def check_home(arm: SerialArm, scene: str) -> None:
             part, obstacle = names if moving[pair[0]] else names[::-1]
             what = f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r}"
             near_what = f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home"
-            size = 2.0 * float(model.geom_rbound[pair].max())
-            unit = f" (it is {size:.3g} m large: are its lengths, or its mesh's, in millimetres?)" * (size > _LARGE)
+            unit = " (are its lengths, or its mesh's, in millimetres?)" * bool(model.geom_rbound[pair].max() > _LARGE)
             raise InputError(f"{what} is within {near_what}; move it, or give the arm another home{unit}")
 
 

@@ -147,10 +147,9 @@ class ArmTask(ABC):
             self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
         ends = np.isfinite([*self.arm.position_limits.T, self.arm.velocity_limits]).all(axis=0)
         if not ends.all():
-            name = self.arm.joint_names[int(ends.argmin())]
+            given = f"Arm.load(..., limits={{{self.arm.joint_names[int(ends.argmin())]!r}: {{'velocity': 2.0}}}})"
             raise InputError(
-                f"arm {self.arm.name!r} needs finite position and velocity limits, which scale the actions; give them, "
-                f"as in Arm.load(..., limits={{{name!r}: {{'velocity': 2.0}}}})"
+                f"arm {self.arm.name!r} needs finite limits, which scale the actions; give them, as {given}"
             )
         timestep = self.arm.timestep
         self.substeps = steps_in("control_timestep", control_timestep, timestep)

@@ -43,9 +43,7 @@ class ChunkStep:
         InputError: a time is not positive.
     """
 
-    # The target before chunks; when the last chunk began, and its further columns.
-    _stay: Floats | None
-    _more: tuple[float, Floats]
+    _stay: Floats | None  # the target before chunks
 
     def __init__(self, policy: ChunkPolicy, dt: float, *, delay: float = 0.0, degrees: bool = False) -> None:
         self.policy, self._dt, self._delay = policy, as_positive("dt", dt), as_nonnegative("delay", delay)
@@ -91,7 +89,8 @@ class ChunkStep:
 
     def reset(self) -> None:
         """Start again from the joints that are measured next."""
-        self._stay, self._more = None, (0.0, np.empty((1, 0)))
+        self._stay = None
+        self._more = 0.0, np.empty((1, 0))  # when the last chunk began, and its further columns
 
     def transform_features(self, features: Any) -> Any:
         """The features of the pipeline, which stay as they are."""
@@ -101,9 +100,7 @@ class ChunkStep:
         """Nothing that a pipeline could be saved with: a policy is given when one is loaded."""
         return {}
 
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing, likewise."""
-        return {}
+    state_dict = get_config
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Does nothing."""

@@ -107,15 +107,13 @@ class ChunkPolicy(ReplanningPolicy):
 
     Until the first chunk it goes to the target of its steps, as `ReplanningPolicy` does. Later the newest command
     counts, whether it is a chunk or another target. It logs how many chunks it ``accepted`` and ``refused``, and for
-    how long ahead its motion is ``proved`` to be clear.
-
-    Args:
-        arm, rate, motion, options, feedback, seed: as of `ReplanningPolicy`.
+    how long ahead its motion is ``proved`` to be clear. Its arguments are those of `ReplanningPolicy`.
 
     Attributes:
         source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
             measured; returns None, or the arguments of `accept`. None at first; to be set.
-        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known.
+        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known, and what
+            refuses a later part of it.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """
@@ -135,10 +133,9 @@ class ChunkPolicy(ReplanningPolicy):
         # The curve of the newest chunk, in the policy's time, and later parts of it.
         self._curve: _Part | None = None
         self._later: list[_Part] = []
-        self._newest = -math.inf
+        self._newest, self._left = -math.inf, 0.0
         super().begin(q)
-        # This takes long the first time.
-        bounds_of(self.arm)
+        bounds_of(self.arm)  # which takes long the first time
 
     @property
     def now(self) -> float:
@@ -147,12 +144,12 @@ class ChunkPolicy(ReplanningPolicy):
 
     @property
     def chunk_time(self) -> float:
-        """The time of the newest chunk at which the reference is, as of `now` [s]; `now` where it follows none.
+        """Where in its chunk the reference is, as of `now` [s], behind that where it is late, or slower, or waits.
 
-        It is behind `now` where the chunk is joined late, is slower, or the arm does not keep up.
+        It stays where the chunk is left, and is 0 before the first one.
         """
         if self._curve is None:
-            return self.now
+            return self._left
         (begin, curve), motion = self._curve, self.course.transition
         if not isinstance(motion, ChunkMotion):  # on another way to its end
             return begin + curve.duration * (self.time >= motion.duration)
@@ -221,6 +218,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _command(self, end: Floats, curve: _Part | None) -> None:
         """Take note of what is followed and where it ends."""
+        self._left = self.chunk_time
         self._wanted = self._goal = end
         self._curve, self._later, self._search, self._path = curve, [], None, None
 
@@ -241,7 +239,6 @@ class ChunkPolicy(ReplanningPolicy):
 
         What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
         """
-        error = ""
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
@@ -259,9 +256,8 @@ class ChunkPolicy(ReplanningPolicy):
                 self._go_along(onto, most)
                 break
             except PlanError as refused:
-                error = str(refused)
-        else:
-            raise RefusedError(Finding("motion", error))
+                if most == np.inf:
+                    raise RefusedError(Finding("motion", str(refused))) from None
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
@@ -343,7 +339,7 @@ class ChunkPolicy(ReplanningPolicy):
         if target is not self._asked:
             # The first target after a reset is no newer than a chunk that came before it.
             if self._asked is not None:
-                self._curve, self._later = None, []
+                self._left, self._curve, self._later = self.chunk_time, None, []
             if self._curve is None:
                 self._wanted = target
             self._asked = target

@@ -399,11 +399,15 @@ def test_what_comes_in_the_way_of_a_later_part_is_told(gantry):
     body = spec.worldbody.add_body(name="ball", pos=[1.0, 5.0, 0.1])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0.0, 0.0])
     policy = made(dataclasses.replace(gantry.with_obstacles(spec, "ball"), scene="free"))
-    assert not policy.accept(np.outer(np.linspace(0.0, 1.0, 21) ** 2, [0.0, 1.7, 0.0, 0.0]), 0.2, 0.1).findings
-    policy.see({"obstacle_ball": [1.0, 0.9, 0.1]})
+    chunk = np.outer(np.linspace(0.0, 1.0, 21) ** 2, [0.0, 1.7, 0.0, 0.0])
+    chunk[:8], chunk[8:, 1] = 0.0, 0.7 * chunk[8:, 1] + 0.6
+    assert [finding.kind for finding in policy.accept(chunk, 0.0, 0.1).findings] == ["jump"]
+    policy.see({"obstacle_ball": [1.0, 1.5, 0.1]})
     assert np.abs(run(policy, 300)).max() < 0.02
-    (finding,) = policy.verdict.findings
-    assert (finding.kind, finding.repaired, policy.counts["contact"]) == ("contact", False, 1)
+    assert [finding.kind for finding in policy.verdict.findings] == ["jump", "contact"]
+    assert (policy.verdict.findings[-1].repaired, policy.counts["contact"]) == (False, 1)
+    # Where the reference rests, and with it what else the chunk holds.
+    assert policy.chunk_time == pytest.approx(0.7)
 
 
 def test_turns_of_a_continuous_joint_that_end_at_half_a_turn_go_on():

@@ -13,8 +13,6 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, one_blas_thread, time_limit
@@ -66,7 +64,7 @@ def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Ar
         reference_network(arm)
         home = arm.keyframe("home")
         plan(arm, home, planner="minimum-jerk", duration=100 * arm.timestep)
-        plan(arm, np.clip(home + 0.01, *arm.position_limits.T), planner="lieednn-shaped")
+        plan(arm, (home + 0.01).clip(*arm.position_limits.T), planner="lieednn-shaped")
     return arm
 
 
