@@ -201,11 +201,8 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
     for body in range(model.nbody - 1, 0, -1):
         jointed[model.body_parentid[body]] |= jointed[body]
     if result <= 0 or jointed[result]:
-        fixed = sorted(filter(None, (model.body(k).name for k in np.flatnonzero(~jointed) if k)))
-        raise InputError(
-            f"no obstacle {quoted(name)} can move; bodies that neither move nor carry an arm are: "
-            f"{', '.join(fixed) or 'none'}"
-        )
+        fixed = ", ".join(sorted(filter(None, (model.body(k).name for k in np.flatnonzero(~jointed) if k)))) or "none"
+        raise InputError(f"no obstacle {quoted(name)} can move; bodies that neither move nor carry an arm are: {fixed}")
     return result
 
 

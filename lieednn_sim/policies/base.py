@@ -144,10 +144,8 @@ class Policy(ABC):
 
     def to_c(self, folder: StrPath) -> Path:
         """Write the policy as C99 into a folder; only a `NetworkPolicy` can, others raise `InputError`."""
-        raise InputError(
-            f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped'; run it by "
-            "control_loop"
-        )
+        only = "only a NetworkPolicy has, such as 'lieednn-shaped'; run it by control_loop"
+        raise InputError(f"a {type(self).__name__} has no C code, {only}")
 
     def allowed(self) -> Floats:
         """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""

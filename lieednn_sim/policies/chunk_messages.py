@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.chunks import MOST_TARGETS
 from lieednn_sim.policies.chunks import ChunkPolicy
-from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
+from lieednn_sim.validation import as_floats, as_nonnegative, as_numbers, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -43,13 +43,12 @@ class ChunkStep:
         InputError: a time is not positive.
     """
 
-    _stay: Floats | None  # the target before chunks
-
     def __init__(self, policy: ChunkPolicy, dt: float, *, delay: float = 0.0, degrees: bool = False) -> None:
         self.policy, self._dt, self._delay = policy, as_positive("dt", dt), as_nonnegative("delay", delay)
         units = [policy.arm.unit(joint) for joint in range(policy.arm.n_joints)]
         self._scale = np.where(degrees & (np.array(units) == "rad"), np.pi / 180.0, 1.0)
         self._like: Any = np.asarray
+        self._stay: Floats | None = None  # the target before chunks
         self.reset()
         # Pipelines take instances of their own base class alone; as an abstract one it knows others.
         if lerobot := sys.modules.get("lerobot.processor"):
@@ -61,7 +60,7 @@ class ChunkStep:
         state = (transition.get("observation") or {}).get("observation.state")
         measured = None
         if state is not None:
-            seen = _numbers("observation.state", state)
+            seen = np.atleast_1d(as_numbers("observation.state", state))
             seen = seen.ravel() if seen.size == seen.shape[-1] else seen
             measured = as_floats("observation.state", seen[..., :n], (n,)) * self._scale
         if self._stay is None:
@@ -71,7 +70,7 @@ class ChunkStep:
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
-            self._like, targets = getattr(chunk, "new_tensor", self._like), _numbers("action", chunk)
+            self._like, targets = getattr(chunk, "new_tensor", self._like), np.atleast_1d(as_numbers("action", chunk))
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
             joints = targets[..., :n] * self._scale[: targets.shape[-1]]
             joints[~np.isfinite(targets).all(axis=-1)] = np.nan  # a gripper's, too
@@ -104,14 +103,6 @@ class ChunkStep:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Does nothing."""
-
-
-def _numbers(name: str, value: Any) -> Floats:
-    """An array of numbers of any shape, which need not be finite."""
-    try:
-        return np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} must be an array of numbers, got {type(value).__name__}: {error}") from None
 
 
 def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Floats, float, float]:

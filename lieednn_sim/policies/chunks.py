@@ -52,8 +52,7 @@ _HARD = 0.8
 _FADE, _HORIZON = 0.2, 1.5
 # How far the network may be from the motion whose clearance is proved [rad, m].
 _TOLERANCE = 1e-3
-# Rate at which the reference comes back to the network after limits held it back [1/s].
-_RETURN = 20.0
+_RETURN = 20.0  # rate at which the reference comes back to the network after limits held it back [1/s]
 
 
 @dataclass(frozen=True)
@@ -144,10 +143,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     @property
     def chunk_time(self) -> float:
-        """Where in its chunk the reference is, as of `now` [s], behind that where it is late, or slower, or waits.
-
-        It stays where the chunk is left, and is 0 before the first one.
-        """
+        """Where in its chunk the reference is, or left it, as of `now` [s]: behind that if late, slower or waiting."""
         if self._curve is None:
             return self._left
         (begin, curve), motion = self._curve, self.course.transition
@@ -156,7 +152,7 @@ class ChunkPolicy(ReplanningPolicy):
         return begin + float(motion.base.clock(np.array([self.time]), 1)[0, 0])
 
     def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
-        """Follow a chunk from now on, or refuse it; call it between two steps, or let `source` give it.
+        """Follow a chunk from now on, or refuse it, also a malformed one; call it between two steps, or by `source`.
 
         Args:
             chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
@@ -164,9 +160,6 @@ class ChunkPolicy(ReplanningPolicy):
             t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
                 until then. The last target may be up to two minutes ahead.
             dt: time between two targets [s].
-
-        Returns:
-            What was found. Malformed chunks are refused, too, without an error.
 
         Raises:
             InputError: the policy was never reset.
