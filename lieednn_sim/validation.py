@@ -57,7 +57,7 @@ def as_floats(
     elif type(value) in (float, np.float64):
         array = np.asarray(value)
     else:
-        array = _converted(name, value, shape, batched)
+        array = as_numbers(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
     # Fast path for training loops. If the sum of squares is small no entry is large, which takes a third of the time of
     # finding the largest; a NaN makes both comparisons false. Long vectors are for BLAS's threads, which would spin on
@@ -76,7 +76,8 @@ def as_floats(
     return array
 
 
-def _converted(name: str, value: ArrayLike, shape: tuple[int | str, ...], batched: bool) -> NDArray[np.float64]:
+def as_numbers(name: str, value: Any, shape: tuple[int | str, ...] = (), batched: bool = True) -> NDArray[np.float64]:
+    """Return ``value`` as a float64 array that need not be finite, by default of any shape, or raise `InputError`."""
     try:
         # A known shape is checked first, before a large array is copied.
         if isinstance(value, np.ndarray):
@@ -91,7 +92,7 @@ def _converted(name: str, value: ArrayLike, shape: tuple[int | str, ...], batche
         if given.dtype.kind in "bSUmMV" or not _only_numbers(value):
             raise TypeError("every entry must be a number")
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError, MemoryError) as error:
+    except (TypeError, ValueError, OverflowError, MemoryError, RuntimeError) as error:
         if isinstance(error, InputError):
             raise
         # NumPy's messages may repeat a long string.

@@ -26,7 +26,7 @@ for hour in (10, 2):
 # States are nearly linear in codes, so the path of a blend is nearly the blend of the paths. ``encoder.path`` has it in
 # closed form; the arm decodes it to joint positions.
 
-fig, ax = plt.subplots(figsize=(7, 5), layout="constrained")
+fig, ax = plt.subplots(figsize=(7, 3), layout="constrained")
 for part in np.linspace(0.0, 1.0, 6):
     code = (1.0 - part) * codes[0] + part * codes[1]
     start, target = (1.0 - part) * ends[0] + part * ends[1]
@@ -35,7 +35,7 @@ for part in np.linspace(0.0, 1.0, 6):
     places = arm.tip(arm.decode(states, start=arm.keyframe("home")).q)
     print(f"{part:.0%} of the way: certified {network.certified}, arrives at {places[-1].round(3)}")
     ax.plot(*places[:, 1:].T, color="0.7" if 0.0 < part < 1.0 else "tab:red")
-    ax.annotate({0.0: "10 h", 1.0: "2 h"}.get(part, f"{part:.0%}"), places[-1, 1:], ha="center")
-ax.set(title="Paths of the end effector, as the arm sees them", aspect="equal")
+    ax.annotate({0.0: "10 h", 1.0: "2 h"}.get(part, f"{part:.0%}"), places[-1, 1:] + [0.0, 0.01], ha="center")
+ax.set(title="Paths of the end effector, as the arm sees them", aspect="equal", ymargin=0.15)
 ax.set(xlabel="y [m]", ylabel="z [m]")
 ax.invert_xaxis()

@@ -74,7 +74,7 @@ class ClearanceBounds:
         alike, group = np.unique(self._moves, axis=0, return_inverse=True)
         self._still, (first, second) = (~alike.T).astype(float), self._collisions.pairs.T
         self._places = first * len(alike) + group.ravel()[second], second * len(alike) + group.ravel()[first]
-        parts = moving_geoms(model) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
+        parts = moving_geoms(arm.geometry) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
         self._parts, self._counted = parts, np.asarray(~parts[self._collisions.pairs].all(axis=1) | own)
 
     def __call__(

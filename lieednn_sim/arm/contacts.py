@@ -36,8 +36,10 @@ class ContactOffsets:
     """
 
     def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
-        self._margins = np.array(model.geom_margin)
-        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True)
+        self._margins, own = np.array(model.geom_margin), np.array(model.pair_margin)
+        if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+            self._margins[:], own[:] = 0.5 * model.opt.o_margin, model.opt.o_margin
+        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), own.tolist(), strict=True)
         self._special = {(min(a, b), max(a, b)): margin for a, b, margin in pairs}
         self._special |= {(min(pair), max(pair)): offset for pair, offset in given.items()}
         #: Whether all offsets are zero.
@@ -159,8 +161,6 @@ class ContactFinder:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
         near = self.geoms(qpos)[1]
-        if not len(near):
-            return []
         # Not `model.body(...).name`, which takes as long as twenty passes.
         names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, k) or "" for k in model.geom_bodyid[near].ravel()]
         return list(dict.fromkeys(zip(names[::2], names[1::2], strict=True)))
@@ -202,11 +202,8 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
     for body in range(model.nbody - 1, 0, -1):
         jointed[model.body_parentid[body]] |= jointed[body]
     if result <= 0 or jointed[result]:
-        fixed = sorted(filter(None, (model.body(k).name for k in np.flatnonzero(~jointed) if k)))
-        raise InputError(
-            f"no obstacle {quoted(name)} can move; bodies that neither move nor carry an arm are: "
-            f"{', '.join(fixed) or 'none'}"
-        )
+        fixed = ", ".join(sorted(filter(None, (model.body(k).name for k in np.flatnonzero(~jointed) if k)))) or "none"
+        raise InputError(f"no obstacle {quoted(name)} can move; bodies that neither move nor carry an arm are: {fixed}")
     return result
 
 

@@ -29,6 +29,7 @@ SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
+_FARTHEST, _LARGE = 200.0, 10.0  # from the origin, and from the own centre [m]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -82,7 +83,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
     away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1) * colliding_geoms(model)
-    if away.max(initial=0.0) > 200.0:  # [m]
+    if away.max(initial=0.0) > _FARTHEST:
         name = geom_name(model, int(away.argmax()))
         raise InputError(f"{source}: {name!r} is {away.max():.3g} m away; lengths are in metres, not millimetres")
     if not colliding_geoms(model).any() and not spec.texts:
@@ -139,7 +140,8 @@ def check_home(arm: SerialArm, scene: str) -> None:
             part, obstacle = names if moving[pair[0]] else names[::-1]
             what = f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r}"
             near_what = f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home"
-            raise InputError(f"{what} is within {near_what}; move it, or give the arm another home")
+            unit = " (are its lengths, or its mesh's, in millimetres?)" * bool(model.geom_rbound[pair].max() > _LARGE)
+            raise InputError(f"{what} is within {near_what}; move it, or give the arm another home{unit}")
 
 
 def _goals(model: mujoco.MjModel) -> list[int]:

@@ -144,8 +144,9 @@ class ArmTask(ABC):
             self.arm = arm.with_scene(scene, scene_seed)
         else:
             self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
-        if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):
-            raise InputError(f"arm {self.arm.name!r} needs finite position and velocity limits: they scale the actions")
+        if not np.isfinite([*self.arm.position_limits.T, self.arm.velocity_limits]).all():
+            why = "finite limits, which scale the actions: give Arm.load(..., limits={'JOINT': {'velocity': 2.0}})"
+            raise InputError(f"arm {self.arm.name!r} needs {why}")
         timestep = self.arm.timestep
         ratio = as_positive("control_timestep", control_timestep) / timestep
         self.substeps = round(ratio)
@@ -156,10 +157,8 @@ class ArmTask(ABC):
         self.time_limit = as_positive("time_limit", time_limit)
         # Targets that move are drawn for all of it.
         if not self.control_timestep <= time_limit <= 1000.0:
-            raise InputError(
-                f"time_limit must be between one control step of {self.control_timestep:g} s and 1000 s, "
-                f"got {time_limit:g} s"
-            )
+            least = f"one control step of {self.control_timestep:g} s"
+            raise InputError(f"time_limit must be between {least} and 1000 s, got {time_limit:g} s")
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
         self.goal = as_choice("goal", goal, ("end-effector", "links"))
         for name, value in {"position_tolerance": position_tolerance, "rotation_tolerance": rotation_tolerance}.items():

@@ -67,12 +67,12 @@ def read(
     kind, n = "shape", arm.n_joints
     try:
         if hasattr(chunk, "as_matrix"):
-            kind, q = "reach", [near]
-            for pose in chunk:
-                q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
-            chunk = np.array(q[1:])
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else "shape"
+            kind, q = "reach", near
+            chunk = np.array([q := solve_ik(arm, pose.translation, pose.rotation, start=q) for pose in chunk])
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(chunk) <= MOST_TARGETS else "shape"
         targets = as_floats("chunk", chunk, ("H", n))
+        if arm.continuous.any():  # models often learn turns within half a turn of zero
+            targets = np.array([near := arm.nearest_turn(row, near) for row in targets])
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
         kind = "times"

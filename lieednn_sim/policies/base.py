@@ -99,6 +99,8 @@ class Policy(ABC):
                 if far.any():
                     raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
+        if seen is not None and self.arm.continuous.any():
+            seen = self.arm.nearest_turn(seen, self.q)  # encoders may count within a turn
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:
             raise InputError(f"a policy's act must return joints and rates, two arrays of shape {shape}, got {given}")
@@ -142,10 +144,8 @@ class Policy(ABC):
 
     def to_c(self, folder: StrPath) -> Path:
         """Write the policy as C99 into a folder; only a `NetworkPolicy` can, others raise `InputError`."""
-        raise InputError(
-            f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped'; run it by "
-            "control_loop"
-        )
+        only = "only a NetworkPolicy has, such as 'lieednn-shaped'; run it by control_loop"
+        raise InputError(f"a {type(self).__name__} has no C code, {only}")
 
     def allowed(self) -> Floats:
         """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""

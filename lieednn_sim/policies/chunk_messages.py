@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.chunks import MOST_TARGETS
 from lieednn_sim.policies.chunks import ChunkPolicy
-from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
+from lieednn_sim.validation import as_floats, as_nonnegative, as_numbers, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -29,7 +29,8 @@ class ChunkStep:
     A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
     of the joints, as a tensor if chunks or states are. ``observation.state`` begins with the measured joints ``(n,)``
     of one instant, where the policy starts, also after `reset`. Further columns of a chunk, such as a gripper's, stay
-    as they are; before the first chunk there are none. The info says what became of a chunk, as ``chunk``.
+    as they are, at the time of the chunk that the reference is at; before the first chunk there are none. The info
+    says what became of a chunk, as ``chunk``.
 
     Args:
         policy: the policy, whose rate is that of the calls.
@@ -42,15 +43,12 @@ class ChunkStep:
         InputError: a time is not positive.
     """
 
-    # The target before chunks; when the last chunk began, and its further columns.
-    _stay: Floats | None
-    _more: tuple[float, Floats]
-
     def __init__(self, policy: ChunkPolicy, dt: float, *, delay: float = 0.0, degrees: bool = False) -> None:
         self.policy, self._dt, self._delay = policy, as_positive("dt", dt), as_nonnegative("delay", delay)
         units = [policy.arm.unit(joint) for joint in range(policy.arm.n_joints)]
         self._scale = np.where(degrees & (np.array(units) == "rad"), np.pi / 180.0, 1.0)
         self._like: Any = np.asarray
+        self._stay: Floats | None = None  # the target before chunks
         self.reset()
         # Pipelines take instances of their own base class alone; as an abstract one it knows others.
         if lerobot := sys.modules.get("lerobot.processor"):
@@ -62,7 +60,7 @@ class ChunkStep:
         state = (transition.get("observation") or {}).get("observation.state")
         measured = None
         if state is not None:
-            seen = np.atleast_1d(np.asarray(state, dtype=float))
+            seen = np.atleast_1d(as_numbers("observation.state", state))
             seen = seen.ravel() if seen.size == seen.shape[-1] else seen
             measured = as_floats("observation.state", seen[..., :n], (n,)) * self._scale
         if self._stay is None:
@@ -72,23 +70,26 @@ class ChunkStep:
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
-            self._like, targets = getattr(chunk, "new_tensor", self._like), np.asarray(chunk, dtype=float)
+            self._like, targets = getattr(chunk, "new_tensor", self._like), np.atleast_1d(as_numbers("action", chunk))
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
+            joints = targets[..., :n] * self._scale[: targets.shape[-1]]
+            joints[~np.isfinite(targets).all(axis=-1)] = np.nan  # a gripper's, too
             delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
             begin = policy.now - max(float(delay), 0.0)  # clocks differ a little
-            verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)
+            verdict = policy.accept(joints, begin, self._dt)
             if verdict.accepted:
                 self._more = begin, targets[:, n:]
             result["info"] = {**(transition.get("info") or {}), "chunk": str(verdict)}
         q, _ = policy.step(measured, self._stay)
         begin, more = self._more
-        row = min(max(int((policy.now - begin) / self._dt + 1e-6), 0), len(more) - 1)
+        row = min(max(int((policy.chunk_time - begin) / self._dt + 0.1), 0), len(more) - 1)
         result["action"] = self._like(np.append(q / self._scale, more[row]))
         return result
 
     def reset(self) -> None:
         """Start again from the joints that are measured next."""
-        self._stay, self._more = None, (0.0, np.empty((1, 0)))
+        self._stay = None
+        self._more = 0.0, np.empty((1, 0))  # when the last chunk began, and its further columns
 
     def transform_features(self, features: Any) -> Any:
         """The features of the pipeline, which stay as they are."""
@@ -130,6 +131,7 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
     if not len(t) or (np.diff(t) <= 0.0).any():
         raise InputError(f"the times of a trajectory must increase from point to point, and it needs one; got {t}")
     q = as_floats("positions of the points", rows, shape)[:, order]
+    q = np.where(arm.continuous, np.unwrap(q, axis=0), q)
     if len(t) == 1:
         return q, now + float(t[0]), 1.0
     count = min(math.ceil((t[-1] - t[0]) / np.diff(t).min() - 1e-6) + 1, MOST_TARGETS)

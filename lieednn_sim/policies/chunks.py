@@ -89,15 +89,13 @@ class ChunkPolicy(ReplanningPolicy):
 
     Until the first chunk it goes to the target of its steps, as `ReplanningPolicy` does. Later the newest command
     counts, whether it is a chunk or another target. It logs how many chunks it ``accepted`` and ``refused``, and for
-    how long ahead its motion is ``proved`` to be clear.
-
-    Args:
-        arm, rate, motion, options, feedback, seed: as of `ReplanningPolicy`.
+    how long ahead its motion is ``proved`` to be clear. Its arguments are those of `ReplanningPolicy`.
 
     Attributes:
         source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
             measured; returns None, or the arguments of `accept`. None at first; to be set.
-        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known.
+        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known, and what
+            refuses a later part of it.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """
@@ -117,18 +115,27 @@ class ChunkPolicy(ReplanningPolicy):
         # The curve of the newest chunk, in the policy's time, and later parts of it.
         self._curve: _Part | None = None
         self._later: list[_Part] = []
-        self._newest = -math.inf
+        self._newest, self._left = -math.inf, 0.0
         super().begin(q)
-        # This takes long the first time.
-        bounds_of(self.arm)
+        bounds_of(self.arm)  # which takes long the first time
 
     @property
     def now(self) -> float:
         """The policy's time since its reset [s], in which the times of chunks are given."""
         return self._periods * self.period
 
+    @property
+    def chunk_time(self) -> float:
+        """Where in its chunk the reference is, or left it, as of `now` [s]: behind that if late, slower or waiting."""
+        if self._curve is None:
+            return self._left
+        (begin, curve), motion = self._curve, self.course.transition
+        if not isinstance(motion, ChunkMotion):  # on another way to its end
+            return begin + curve.duration * (self.time >= motion.duration)
+        return begin + float(motion.base.clock(np.array([self.time]), 1)[0, 0])
+
     def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
-        """Follow a chunk from now on, or refuse it; call it between two steps, or let `source` give it.
+        """Follow a chunk from now on, or refuse it, also a malformed one; call it between two steps, or by `source`.
 
         Args:
             chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
@@ -136,9 +143,6 @@ class ChunkPolicy(ReplanningPolicy):
             t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
                 until then. The last target may be up to two minutes ahead.
             dt: time between two targets [s].
-
-        Returns:
-            What was found. Malformed chunks are refused, too, without an error.
 
         Raises:
             InputError: the policy was never reset.
@@ -190,6 +194,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _command(self, end: Floats, curve: _Part | None) -> None:
         """Take note of what is followed and where it ends."""
+        self._left = self.chunk_time
         self._wanted = self._goal = end
         self._curve, self._later, self._search, self._path = curve, [], None, None
 
@@ -210,7 +215,6 @@ class ChunkPolicy(ReplanningPolicy):
 
         What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
         """
-        error = ""
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
@@ -228,9 +232,8 @@ class ChunkPolicy(ReplanningPolicy):
                 self._go_along(onto, most)
                 break
             except PlanError as refused:
-                error = str(refused)
-        else:
-            raise RefusedError(Finding("motion", error))
+                if most == np.inf:
+                    raise RefusedError(Finding("motion", str(refused))) from None
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
@@ -313,7 +316,7 @@ class ChunkPolicy(ReplanningPolicy):
         if target is not self._asked:
             # The first target after a reset is no newer than a chunk that came before it.
             if self._asked is not None:
-                self._curve, self._later = None, []
+                self._left, self._curve, self._later = self.chunk_time, None, []
             if self._curve is None:
                 self._wanted = target
             self._asked = target
@@ -322,6 +325,7 @@ class ChunkPolicy(ReplanningPolicy):
         except RefusedError as refused:
             # It rests at the end of what it follows.
             self._command(self.course.transition.end, None)
+            self.verdict = replace(self.verdict, findings=(*self.verdict.findings, refused.finding))
             self.counts[refused.finding.kind] += 1
         super()._decide(self._wanted)
         self._prove()

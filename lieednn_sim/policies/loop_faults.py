@@ -121,7 +121,7 @@ class LoopRun:
             given = read()
             if given is not None:
                 # Somebody may go on to write into the array.
-                measured = as_floats("what read returns", given, (arm.n_joints,)).copy()
+                measured = arm.nearest_turn(as_floats("what read returns", given, (arm.n_joints,)), self._seen)
         except Exception as failure:
             kind, why = "malformed" if isinstance(failure, InputError) else "read", repr(failure)
             # Its traceback would hold this frame, which holds it, and no garbage is collected in a loop.

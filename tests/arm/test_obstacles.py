@@ -155,7 +155,12 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         (
             {"obstacles": [{**POLE, "position": [1.0, 0.0, 0.0]}]},
             InputError,
-            "obstacle 'pole' of scene 'own' is within 2 mm of 'ball' of arm 'gantry' at home; move it",
+            "obstacle 'pole' of scene 'own' is within 2 mm of 'ball' of arm 'gantry' at home; move it.* another home$",
+        ),
+        (
+            {"obstacles": [{**BOX, "size": [400.0, 600.0, 400.0]}]},
+            InputError,
+            r"give the arm another home \(are its lengths, or its mesh's, in millimetres\?\)",
         ),
         (
             {"obstacles": [{**POLE, "position": [600.0, 0.0, 450.0]}]},

@@ -104,6 +104,20 @@ def test_in_a_gap_there_is_no_force(height, contact):
     assert bool(view.contacts([height])) == contact == bool(data.efc_force[: data.nefc].any())
 
 
+@pytest.mark.parametrize("pair", ["", '<contact><pair geom1="floor" geom2="ball" margin=".5"/></contact>'])
+@pytest.mark.parametrize(("height", "contact"), [(0.119, True), (0.121, False)])
+def test_margins_that_an_option_overrides(height, contact, pair):
+    slide = '<joint name="z" type="slide" axis="0 0 1" range="0 1"/>'
+    ball = f'<body>{slide}<geom name="ball" size=".1" margin=".5"/></body>'
+    option = '<option o_margin=".02"><flag override="enable"/></option>'
+    floor = '<geom name="floor" type="plane" size="1 1 1"/>'
+    model, data = made(f"<mujoco>{option}<worldbody>{floor}{ball}</worldbody>{pair}</mujoco>", z=height)
+    view = ls.Arm.of(model, data, ["z"])
+    mujoco.mj_forward(model, data)
+    assert bool(view.contacts([height])) == contact == bool(data.efc_force[: data.nefc].any())
+    assert Collisions(view).clearance([height]) == pytest.approx(height - 0.12)
+
+
 def made(model, **state):
     if isinstance(model, str):
         read = mujoco.MjModel.from_xml_path if model.endswith(".xml") else mujoco.MjModel.from_xml_string

@@ -1,3 +1,4 @@
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -305,6 +306,12 @@ def test_a_failed_simulation_terminates(reach):
 def test_malformed_arguments(arguments, message):
     with pytest.raises(InputError, match=message):
         make_task(**{"task": "reach", **arguments})
+
+
+def test_an_arm_without_velocity_limits_is_told_how_to_get_them(gantry):
+    endless = dataclasses.replace(gantry, velocity_limits=np.array([1.0, np.inf, 4.0, 8.0]))
+    with pytest.raises(InputError, match=r"which scale the actions: give Arm\.load"):
+        make_task("reach", endless)
 
 
 def test_malformed_actions_and_options(reach):

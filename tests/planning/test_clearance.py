@@ -178,3 +178,16 @@ def test_what_is_near_is_told_beside_parts_of_the_arm_that_are_nearer_to_each_ot
     assert others.others is None
     told = (f"{1e3 * own.bound:.3g} mm between parts of the arm, ", f"; {1e3 * others.bound:.3g} mm from all else, ")
     assert all(words in str(own) for words in told)
+
+
+@pytest.mark.parametrize("kind", ["<freejoint/>", "<joint/>", ""])
+def test_a_cup_or_another_robot_is_no_part_of_the_arm(kind):
+    mocap = "" if kind else ' mocap="true"'
+    cup = f'<body{mocap} pos=".35 0 .2">{kind}<geom name="cup" type="sphere" size=".02"/></body></worldbody>'
+    swing = SWING.format(step=0.002, width=0.05, x=0.6, z=0.9, tilt=0.0)
+    model = mujoco.MjModel.from_xml_string(swing.replace("</worldbody>", cup).replace('"-3 3"', '"-90 90"'))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["j", "k"], clearance=0.0)
+    nearest = ls.plan(arm, [0.5, 0.2], duration=1.0).clearance
+    assert "cup" in nearest.pair
+    # Else all but the cup would be said to be further away.
+    assert nearest.others is None

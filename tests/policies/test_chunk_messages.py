@@ -1,5 +1,6 @@
 """Chunks from LeRobot's transitions and ROS 2's messages, against the policy itself."""
 
+import re
 import sys
 from abc import ABC
 from dataclasses import dataclass, field
@@ -83,6 +84,59 @@ def test_a_transition_has_its_own_delay_and_a_refused_chunk_says_why():
     assert step({"action": CHUNK, "complementary_data": {"delay": np.nan}})["info"]["chunk"].startswith(
         "refused; times"
     )
+
+
+def test_a_gripper_keeps_step_with_a_chunk_that_takes_longer():
+    step, share = ChunkStep(ChunkPolicy(ARM, 50.0), 0.01), np.linspace(0.0, 1.0, 40)[:, None] ** 2
+    chunk, q, closed = np.hstack([HOME + share * (TO - HOME), share]), HOME, []
+    for k in range(250):
+        result = step({"observation": {"observation.state": q}, "action": None if k else chunk})
+        q, column = np.split(result["action"], [8])
+        closed.append((column[0], np.linalg.norm(q - HOME) / np.linalg.norm(TO - HOME)))
+    assert step.policy.verdict.slower > 2.0
+    gripper, arm = np.transpose(closed)
+    assert np.abs(gripper - arm).max() < 0.06  # a row
+    assert gripper[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("chunk", "said"),
+    [
+        # One column is not broadcast to all joints.
+        (CHUNK[:, :1], r"shape: chunk must have shape \(H, 8\), got \(40, 1\)"),
+        (CHUNK[:, :7], r"shape: chunk must have shape \(H, 8\), got \(40, 7\)"),
+        (np.hstack([CHUNK, np.full((40, 1), np.nan)]), "nan: chunk must be finite"),
+        ({"turn.pos": 0.1}, "action must be an array of numbers, got dict"),
+        ("home", "action must be an array of numbers, got str"),
+    ],
+)
+def test_chunks_of_too_few_columns_or_no_numbers(chunk, said):
+    step = ChunkStep(ChunkPolicy(ARM, 50.0), 0.02)
+    given = {"observation": {"observation.state": HOME}, "action": chunk}
+    if isinstance(chunk, np.ndarray):
+        result = step(given)
+        assert re.match(f"refused; {said}", result["info"]["chunk"])
+        np.testing.assert_allclose(result["action"], HOME, atol=1e-9)
+    else:
+        with pytest.raises(InputError, match=said):
+            step(given)
+
+
+def test_a_tensor_that_keeps_its_gradient_is_told_how_to_be_an_array():
+    class Attached:
+        shape = CHUNK.shape
+
+        def __len__(self):
+            return len(CHUNK)
+
+        def __array__(self, *_, **__):
+            raise RuntimeError("Use tensor.detach().numpy() instead.")
+
+    step = ChunkStep(ChunkPolicy(ARM, 50.0), 0.02)
+    step({"observation": {"observation.state": HOME}})
+    assert not step.policy.accept(Attached(), 0.0, 0.02).accepted
+    with pytest.raises(InputError, match=r"action must be an array of numbers, got Attached: Use tensor.detach"):
+        step({"action": Attached()})
 
 
 def test_pipelines_of_an_abstract_base_class_take_the_step(monkeypatch):

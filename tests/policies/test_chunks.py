@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.chunk_motion import ChunkCurve, go_over
 from lieednn_sim.planning.chunks import judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
-from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
+from lieednn_sim.policies import ChunkOptions, ChunkPolicy, from_joint_trajectory, make_policy
 from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.simulation import follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
@@ -391,6 +392,56 @@ def test_a_chunk_for_later_begins_then_and_a_new_target_is_newer(gantry):
     for _ in range(300):
         policy.step(None, np.full(4, 0.2))
     np.testing.assert_allclose(policy.q, 0.2, atol=1e-4)
+
+
+def test_what_comes_in_the_way_of_a_later_part_is_told(gantry):
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="ball", pos=[1.0, 5.0, 0.1])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0.0, 0.0])
+    policy = made(dataclasses.replace(gantry.with_obstacles(spec, "ball"), scene="free"))
+    chunk = np.outer(np.linspace(0.0, 1.0, 21) ** 2, [0.0, 1.7, 0.0, 0.0])
+    chunk[:8], chunk[8:, 1] = 0.0, 0.7 * chunk[8:, 1] + 0.6
+    assert [finding.kind for finding in policy.accept(chunk, 0.0, 0.1).findings] == ["jump"]
+    policy.see({"obstacle_ball": [1.0, 1.5, 0.1]})
+    assert np.abs(run(policy, 300)).max() < 0.02
+    assert [finding.kind for finding in policy.verdict.findings] == ["jump", "contact"]
+    assert (policy.verdict.findings[-1].repaired, policy.counts["contact"]) == (False, 1)
+    # Where the reference rests, and with it what else the chunk holds.
+    assert policy.chunk_time == pytest.approx(0.7)
+
+
+def test_turns_of_a_continuous_joint_that_end_at_half_a_turn_go_on():
+    """Of a chunk, and of an encoder, in `step` and in the loop."""
+    link = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="{2}" {3}/><geom type="capsule" size=".02" \
+fromto=".05 0 0 .3 0 0"/>'
+    bodies = link.format("turn", 0.0, "0 0 1", "") + link.format("lift", 0.4, "0 1 0", 'range="-90 90"')
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</body></body></worldbody></mujoco>")
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["turn", "lift"])
+    chunk = np.array([3.0, 0.0]) + np.outer(np.linspace(0.0, 1.0, 50) ** 2, [0.5, 0.3])
+
+    def within(q):
+        return np.array([(q[0] + np.pi) % (2.0 * np.pi) - np.pi, q[1]])
+
+    policy, robot = ChunkPolicy(arm), {"q": chunk[0]}
+    policy.source = lambda now, q: (list(map(within, chunk)), 0.1, 0.02) if now == pytest.approx(0.1) else None
+    policy.reset(chunk[0])
+    for _ in range(150):
+        q, _ = policy.step(within(policy.q), chunk[0])
+    assert str(policy.verdict) == "accepted"
+    np.testing.assert_allclose(q, chunk[-1], atol=1e-6)
+    # Half-way between two points of a message it is at half a turn, and not at 0.
+    duration = [SimpleNamespace(sec=0, nanosec=100_000_000 * k) for k in (0, 1, 3)]
+    points = [
+        SimpleNamespace(positions=[0.0, q], velocities=[], time_from_start=since)
+        for q, since in zip((3.0, 3.1, -3.1), duration, strict=True)
+    ]
+    q, *_ = from_joint_trajectory(arm, SimpleNamespace(joint_names=["lift", "turn"], points=points))
+    np.testing.assert_allclose(q[:, 0], [3.0, 3.1, np.pi, 2.0 * np.pi - 3.1])
+    report = ls.control_loop(
+        policy, lambda: within(robot["q"]), lambda q, _: robot.update(q=q), within(chunk[0]), duration=1.5
+    )
+    assert not any(report.faults.values())
+    np.testing.assert_allclose(robot["q"], chunk[-1], atol=1e-6)
 
 
 @pytest.mark.parametrize("gap", [-1e-5, 5e-4])

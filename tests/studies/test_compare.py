@@ -20,6 +20,7 @@ from lieednn_sim.studies.comparison import study
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
 from lieednn_sim.studies.rows import Group, wilson
+from lieednn_sim.synthesis.shaping import encoder
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
 SMALL = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
@@ -51,6 +52,14 @@ def test_a_row_holds_what_the_plan_says_of_itself():
     assert value["jerk_joints"] == pytest.approx((720.0 * ((way / ranges) ** 2).mean()) ** 0.5 / 4.0**3, rel=2e-3)
     assert value["motion_s"] == 4.0
     assert 3.0 < value["settling_s"] < 4.0
+
+
+def test_no_planning_time_has_what_a_process_does_once():
+    """Else the first problem of each worker took lieednn-shaped ten times as long as the next one."""
+    for once in (encoder._universal, study.load_arm, study._arm_and_target):
+        once.cache_clear()
+    study.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    assert encoder._universal.cache_info().currsize == 1
 
 
 def test_only_motions_of_certified_networks_have_a_tube(tmp_path):

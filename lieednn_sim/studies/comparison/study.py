@@ -62,7 +62,7 @@ def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Ar
     arm = load(name, scene, seed, user_files)
     with contextlib.suppress(LieEDNNError):  # reported where it is needed
         reference_network(arm)
-        plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
+        plan(arm, (arm.keyframe("home") + 0.01).clip(*arm.position_limits.T), planner="lieednn-shaped")
     return arm
 
 
