@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder, ContactOffsets, geom_name, move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
@@ -110,7 +110,7 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
+        kinematics_at(self.arm.geometry, self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), self._data)
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
@@ -213,7 +213,7 @@ class Collisions:
         count = self.arm.geometry.ngeom
         places, turns = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
         for k, row in enumerate(rows):
-            self._move_to(row)
+            kinematics_at(self.arm.geometry, row, self._data)
             places[k], turns[k] = self._data.geom_xpos, self._data.geom_xmat.reshape(-1, 3, 3)
         at, index, distance, _ = self.separations(places, turns, cutoff)
         return np.asarray(distance - self._offset[index]), at, index
@@ -224,10 +224,6 @@ class Collisions:
         ids = (as_count("geom", int(geom), 0, model.ngeom - 1) for geom in as_floats("pair", pair, (2,)))
         first, second = (geom_name(model, geom) for geom in ids)
         return first, second
-
-    def _move_to(self, qpos: Floats) -> None:
-        self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self.arm.geometry, self._data)
 
     def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
         """Derivatives ``(P, nv)``, in MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""

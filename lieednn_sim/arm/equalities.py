@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -64,9 +64,7 @@ class Residuals:
 
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
-        model, data = self._model, self._data
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
+        model, data = self._model, kinematics_at(self._model, qpos, self._data)
         mujoco.mj_comPos(model, data)
         if model.ntendon:
             mujoco.mj_tendon(model, data)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,9 +22,6 @@ from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
-
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
 
 
@@ -34,7 +31,7 @@ class Grasp:
 
     bodies: tuple[int, ...]  # ids of it, first, and of all bodies that hang from it
     carrier: int  # id of the body that carries it, that of the end effector
-    place: RigidTransform  # in the end effector's frame
+    place: scipy.spatial.transform.RigidTransform  # in the end effector's frame
     qpos: int  # address of its free joint's first entry
     qvel: int  # the same in qvel
     # Distances at which its geoms count as touching others, less the clearance (`contacts.ContactOffsets`) [m].

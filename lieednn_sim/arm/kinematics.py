@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -14,9 +13,6 @@ from numpy.typing import NDArray
 
 from lieednn_sim.lie.se3 import hat, left_jacobian_so3, linear_part, logarithm, skew, transforms, turn_of
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 _ONE = np.eye(3)
 
@@ -195,7 +191,7 @@ class CompoundJoints:
     joints: tuple[CompoundJoint, ...]  # from the base outwards
     reference: Floats  # (n,) q at which every T is the identity
 
-    def poses(self, q: Floats) -> RigidTransform:
+    def poses(self, q: Floats) -> scipy.spatial.transform.RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""
         return transforms(*self.matrices(q))
 

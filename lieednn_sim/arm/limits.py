@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco, scratch_data
+from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.checks import BALL, FREE, SLIDE
 from lieednn_sim.arm.equalities import free_ranges, joint_range, names, tendon_joints
 from lieednn_sim.arm.forces import required_forces
@@ -137,8 +137,7 @@ class Stops:
                 if np.isnan(row[0]):
                     value[:] = np.nan
                     continue
-                data.qpos[:] = row
-                mujoco.mj_kinematics(model, data)
+                kinematics_at(model, row, data)
                 mujoco.mj_comPos(model, data)
                 mujoco.mj_tendon(model, data)
                 value[:] = data.ten_length[self._tendons]

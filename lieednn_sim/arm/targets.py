@@ -112,8 +112,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
     weights = (high - low) ** 2
     tip = arm.frames[-1:]
     for _ in range(25):
-        data.qpos[:] = arm.space.to_qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
+        kinematics_at(arm.model, arm.space.to_qpos(q), data)
         away = point - tip.poses(data.xpos, data.xmat)[0][0]
         # Any point near the drawn one will do.
         if np.linalg.norm(away) < 1e-3:

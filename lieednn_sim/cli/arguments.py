@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from inspect import formatannotation
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import scipy
@@ -29,10 +29,7 @@ from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import TURN, as_choice, as_floats
 from lieednn_sim.values import Floats
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
-
-    _Goal = Floats | TaskSpaceRegion | list[RigidTransform]
+_Goal: TypeAlias = "Floats | TaskSpaceRegion | list[scipy.spatial.transform.RigidTransform]"
 
 #: The look of videos and pictures.
 Look = Annotated[dict[str, Any], render_video, "preset", "size", "camera", "fps"]

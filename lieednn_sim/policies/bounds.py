@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.errors import InputError
@@ -135,9 +135,7 @@ class ApproachBounds:
 
     def __call__(self, q: Floats, speeds: Floats) -> Floats:
         """Bounds ``(P,)`` [m/s] at ``q`` ``(n,)`` for joint velocities of at most ``speeds`` ``(n,)``."""
-        model, data = self._arm.model, self._data
-        data.qpos[:] = self._arm.qpos(q)
-        mujoco.mj_kinematics(model, data)
+        model, data = self._arm.model, kinematics_at(self._arm.model, self._arm.qpos(q), self._data)
         anchors = data.xanchor[model.dof_jntid]
         levers = np.linalg.norm(data.geom_xpos[self._geoms][:, None] - anchors, axis=2) + self._radius[:, None]
         moved = np.where(self._turns, levers, 1.0) * self._moves * (np.abs(self._arm.unit_rates(q)) @ speeds)

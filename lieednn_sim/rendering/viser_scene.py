@@ -120,9 +120,7 @@ class ModelNodes:
 
     def show(self, qpos: Floats) -> None:
         """Move the nodes to where the bodies are at positions ``(nq,)``, and to the mocap poses in ``data``."""
-        data = self.data
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(self.model, data)
+        data = kinematics_at(self.model, qpos, self.data)
         for body, node in self.bodies.items():
             node.position = np.round(data.xpos[body] / _RESOLUTION) * _RESOLUTION
             node.wxyz = np.round(data.xquat[body] / _RESOLUTION) * _RESOLUTION
