@@ -50,7 +50,7 @@ class Policy(ABC):
     def __init__(self, arm: Arm, rate: float) -> None:
         self.arm, self.rate = arm, as_positive("rate", rate)
         self.period = 1.0 / self.rate
-        self._max_gain = arm.acceleration_limits * self.period
+        self._max_gain, self._turns = arm.acceleration_limits * self.period, bool(arm.continuous.any())
         self._target: Floats | None = None
 
     def __repr__(self) -> str:
@@ -99,7 +99,7 @@ class Policy(ABC):
                 if far.any():
                     raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
-        if seen is not None and self.arm.continuous.any():
+        if self._turns and seen is not None:
             seen = self.arm.nearest_turn(seen, self.q)  # encoders may count within a turn
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:
