@@ -20,8 +20,7 @@ from lieednn_sim.values import Floats
 
 # Chunks with more jumps than this are no motion; with more targets, the first of a length would take long to fit.
 MOST_JUMPS, MOST_TARGETS = 4, 256
-# How far ahead the last target may be: beyond that its times are of another clock, or in another unit [s].
-_FARTHEST = 120.0
+_FARTHEST = 120.0  # that the last target may be ahead: beyond, times are of another clock, or in another unit [s]
 
 
 @dataclass(frozen=True)

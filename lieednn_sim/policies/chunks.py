@@ -46,12 +46,9 @@ if TYPE_CHECKING:
 # Kinds of findings that are repaired by default; and the way between samples at which contact is looked for [rad, m].
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _APART = 0.05
-# The part of the limits of acceleration with which it brakes before what is not proved.
-_HARD = 0.8
-# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
-_FADE, _HORIZON = 0.2, 1.5
-# How far the network may be from the motion whose clearance is proved [rad, m].
-_TOLERANCE = 1e-3
+_HARD = 0.8  # part of the limits of acceleration with which it brakes before what is not proved
+_FADE, _HORIZON = 0.2, 1.5  # least time of going over to a chunk, and longest part of one that is coded at once [s]
+_TOLERANCE = 1e-3  # how far the network may be from the motion whose clearance is proved [rad, m]
 _RETURN = 20.0  # rate at which the reference comes back to the network after limits held it back [1/s]
 
 
