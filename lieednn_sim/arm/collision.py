@@ -202,10 +202,18 @@ class Collisions:
         least, row, pair = best
         return least, row, tuple(self.pairs[pair].tolist()) if pair >= 0 else ()
 
-    def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
-        """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``."""
+    def is_free(
+        self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None, home: Floats | None = None
+    ) -> bool:
+        """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``.
+
+        Those that are nearly as near at ``home`` ``(n,)``, as a first link over the floor, may be a fifth nearer.
+        """
         qpos, limit = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
+        if home is not None:
+            distance, _, pairs = self._nearer(self.arm.qpos(home)[None], 1.25 * limits)
+            limits[pairs] = np.minimum(limits[pairs], 0.8 * distance)
         return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf))[0])
 
     def _nearer(self, rows: Floats, cutoff: Floats | float) -> tuple[Floats, NDArray[np.int_], NDArray[np.int_]]:

@@ -21,8 +21,7 @@ __all__ = ["draw_target"]
 # Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
 LIMIT_MARGIN = 0.05  # fraction of a joint's range that targets keep away from its limits
-# Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
-NETWORK_SPREAD = 0.8
+NETWORK_SPREAD = 0.8  # U(-0.8, 0.8) in the network's coordinates, where joints have six dofs (paper, section 5)
 _ATTEMPTS = 400
 
 
@@ -30,8 +29,8 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
     """Draw a random joint target ``(n,)`` at which everything keeps the arm's clearance.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
-    network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, and where the scene has
-    goal boxes the end effector is at a uniform point of one of them, in a configuration not far from home.
+    network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, less where it is less at
+    home, and where the scene has goal boxes the end effector is at a uniform point of one, not far from home.
 
     Raises:
         InputError: the seed is invalid.
@@ -46,8 +45,7 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
     data = kinematics_at(arm.model, arm.model.qpos0)
     places, turns = data.site_xpos.copy(), data.site_xmat.reshape(-1, 3, 3).copy()
     low, high = arm.position_limits.T
-    inset = LIMIT_MARGIN * arm.ranges
-    home = arm.keyframe("home")
+    inset, home = LIMIT_MARGIN * arm.ranges, arm.keyframe("home")
     for _ in range(_ATTEMPTS):
         site = rng.choice(goals)
         inside = arm.model.site_size[site] * rng.uniform(-1.0, 1.0, 3)
@@ -56,7 +54,7 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
         q = _towards(arm, data, near, point, low + inset, high - inset)
         if q is None or arm.limit_excess(q).max() > 0.0:
             continue
-        if collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE):
+        if collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE, home=home):
             return q
     raise NoSolutionError(
         f"no target was found for arm {arm.name!r} among its obstacles: in {_ATTEMPTS} tries its end effector did not "
@@ -83,9 +81,8 @@ def reference_configuration(arm: Arm) -> Floats:
 def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges
-    near: Counter[tuple[str, str]] = Counter()
-    tight = 0
-    collisions = None if arm.scene == "free" else Collisions(arm)
+    near, tight = Counter[tuple[str, str]](), 0
+    collisions, home = None if arm.scene == "free" else Collisions(arm), arm.keyframe("home")
     for attempt in range(_ATTEMPTS):
         # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
         if arm.retractor.exact and attempt < _ATTEMPTS // 2:
@@ -95,7 +92,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
         if arm.limit_excess(q).max() > 0.0:
             continue
         contacts = arm.near_contacts(q)
-        if not contacts and (collisions is None or collisions.is_free(q, TARGET_CLEARANCE, own=0.0)):
+        if not contacts and (collisions is None or collisions.is_free(q, TARGET_CLEARANCE, own=0.0, home=home)):
             return q
         near.update(contacts)
         tight += not contacts
@@ -114,8 +111,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
     for _ in range(25):
         kinematics_at(arm.model, arm.space.to_qpos(q), data)
         away = point - tip.poses(data.xpos, data.xmat)[0][0]
-        # Any point near the drawn one will do.
-        if np.linalg.norm(away) < 1e-3:
+        if np.linalg.norm(away) < 1e-3:  # any point near the drawn one will do
             return q
         mujoco.mj_comPos(arm.model, data)
         slope = tip.jacobian(arm.model, data, 0)[0]

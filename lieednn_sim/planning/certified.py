@@ -197,7 +197,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
     message = f"{reason} (best of {len(result)} candidates)"
     if duration is not None:
         raise TooFastError(message, duration)
-    raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
+    raise PlanError(f"{message}; try the planner lieednn-shaped, which goes around, or another seed")
 
 
 def _promising(result: list[_Candidate]) -> Iterator[_Candidate]:

@@ -37,10 +37,8 @@ from lieednn_sim.values import Floats
 # Kinds of findings that are repaired by default; and the way between samples at which contact is looked for [rad, m].
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _APART = 0.05
-# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
-_FADE, _HORIZON = 0.2, 1.5
-# How far the network may be from the motion whose clearance is proved [rad, m].
-_TOLERANCE = 1e-3
+_FADE, _HORIZON = 0.2, 1.5  # least time of going over to a chunk, and longest part of one that is coded at once [s]
+_TOLERANCE = 1e-3  # how far the network may be from the motion whose clearance is proved [rad, m]
 
 
 @dataclass(frozen=True)

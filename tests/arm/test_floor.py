@@ -7,6 +7,7 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -63,13 +64,16 @@ def test_a_floor_is_at_the_base_and_in_the_way(write):
     assert min(tip(free, draw_target(free, seed)) for seed in range(10)) < 0.0
 
 
-def test_no_random_target_says_that_something_is_too_near(write, tmp_path):
-    """The first link is always 1 cm off the arm's own fixed base."""
+def test_no_random_target_says_that_something_is_too_near(write, tmp_path, monkeypatch):
+    """The first link is always 1 cm off the arm's own fixed base, which is as near as at home."""
     path, scene = write(), tmp_path / "scene.yaml"
     path.write_text(path.read_text().replace("0 0 0.26", "0 0 0.24"))
     scene.write_text("obstacles: [{shape: box, size: [0.2, 0.2, 0.04], position: [0.9, 0, 0.2]}]")
+    arm = Arm.load(path, scene)
+    assert Collisions(arm).clearance(draw_target(arm, 0)) == pytest.approx(0.01)
+    monkeypatch.setattr(Collisions, "is_free", lambda *_, **__: False)
     with pytest.raises(NoSolutionError, match=r"without contact, but something nearer than 20 mm, in \d+; give"):
-        draw_target(Arm.load(path, scene), 0)
+        draw_target(arm, 0)
 
 
 def test_a_floor_is_where_it_is_asked_for_and_not_under_an_arm_that_reaches_below_its_base(write):

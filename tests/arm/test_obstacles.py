@@ -113,6 +113,22 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     ]
 
 
+def test_targets_of_a_robot_whose_first_link_turns_close_over_the_floor(tmp_path):
+    """As that of a UR5e by 12 mm, wherever it goes: none kept 20 mm."""
+    turning = '<joint name="turn" axis="0 0 1" range="-170 170"/><geom type="cylinder" size=".06 .05" pos="0 0 .06"/>'
+    link = '<joint name="lift" axis="0 1 0" range="-60 60"/><geom type="capsule" size=".02" fromto="0 0 .1 .3 0 .1"/>'
+    file = tmp_path / "turner.xml"
+    file.write_text(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="2 2 1"/>'
+        f'<body>{turning}<body pos="0 0 .1">{link}</body></body></worldbody></mujoco>'
+    )
+    box = {**BOX, "name": "box", "size": [0.1, 0.1, 0.1], "position": [0.0, 0.4, 0.2]}
+    arm = Arm.load(file, scene=write(tmp_path, "own.json", {"obstacles": [box]}))
+    near = [Collisions(arm).distances(draw_target(arm, seed), TARGET_CLEARANCE) for seed in range(5)]
+    assert all("floor" in Collisions(arm).names(pair) for found in near for pair in found.pairs)
+    assert all(found.distance == pytest.approx([0.01]) for found in near)
+
+
 def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
     arm = Arm.load("telescopic_pr")
     tip = arm.link_poses(arm.keyframe("extended")).translation[-1]
