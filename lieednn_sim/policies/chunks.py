@@ -124,7 +124,10 @@ class ChunkPolicy(ReplanningPolicy):
 
     @property
     def chunk_time(self) -> float:
-        """Where in its chunk the reference is, or left it, as of `now` [s]: behind that if late, slower or waiting."""
+        """The time for which the chunk has what the reference is at [s]; once it follows none, the last such time.
+
+        It is before `now` where the reference is late, slower, or waits for the arm.
+        """
         if self._curve is None:
             return self._left
         (begin, curve), motion = self._curve, self.course.transition
