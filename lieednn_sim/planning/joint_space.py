@@ -35,7 +35,7 @@ class ClearanceTest:
         if self._arm.stops is not None:
             return self.first_blocked(q[None]) is None
         self.tests += 1
-        return not self._finder.near(self._arm.to_qpos(q, strict=False))
+        return self._finder.first(self._arm.to_qpos(q[None], strict=False)) == 1
 
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None.
