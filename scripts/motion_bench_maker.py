@@ -32,9 +32,9 @@ METHOD = (
     "starts and goals have none. Proved is the mean fraction of a motion's time over which it is proved, for every "
     f"instant, that nothing touches. A planner has {BUDGET:g} s of CPU time, on one core, for a problem. Problems "
     "whose start or goal touches something or breaks a limit are skipped: they count neither as solved nor as failed. "
-    "The solve time covers everything from the problem to the timed motion. Statistics are over solved problems. The "
-    "C-space path is a Euclidean length in radians, for slides in metres. Four numbers are mean / median / 75 % / "
-    "98 %. [How the problems are posed, and what others publish](../../docs/howto/published_problems.md)."
+    "The solve time covers all from the problem to the timed motion, without toppra's import. Statistics are over "
+    "solved problems. The C-space path is a Euclidean length in radians, for slides in metres. Four numbers are mean / "
+    "median / 75 % / 98 %. [How problems are posed, and what others publish](../../docs/howto/published_problems.md)."
 )
 HEADINGS = (
     *("robot", "planner", "problems", "skipped", "solved, of asked"),

@@ -11,7 +11,7 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
-from lieednn_sim.planning.baselines import sampling
+from lieednn_sim.planning.baselines import sampling, search_space
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.joint_space import ClearanceTest, Workspace
 from lieednn_sim.planning.motion import joint_scale
@@ -57,7 +57,7 @@ def test_joints_without_a_velocity_limit_are_measured_by_their_range(gantry):
 def edges_of(gantry, spacing=0.1):
     """A test of edges whose coordinates are in units of 1, 2, 4 and 8, and the configurations that it tests."""
     seen = []
-    clear = MagicMock(tests=0, first_blocked=lambda q: seen.append(q))
+    clear = MagicMock(tests=0, first_blocked=seen.extend, side_effect=lambda q: seen.append(q) or True)
     return EdgeTest(gantry, SimpleNamespace(clear=clear), spacing), seen
 
 
@@ -67,12 +67,35 @@ def test_edges_are_tested_as_densely_in_space_whichever_way_they_go(gantry):
     # Slides move the link frames by as much; the wrist moves none, its frame is on its axis.
     np.testing.assert_allclose(edges.swept, [1.0, 2.0, 4.0, 0.0], atol=1e-9)
     for goal, count in (([0.5, 0, 0, 0], 5), ([-0.5, 0, 0, 0], 5), ([0.1, -0.1, 0, 0], 3), ([0, 0, 0, 0.3], 1)):
+        seen.clear()
         assert edges.passable(np.zeros(4), 0.999 * np.array(goal))
-        np.testing.assert_allclose(seen[-1][0], 0.999 * np.array(goal) * [1.0, 2.0, 4.0, 8.0])
-        assert len(seen[-1]) == count
+        # Evenly spaced, the end first.
+        joints = 0.999 * np.array(goal) * [1.0, 2.0, 4.0, 8.0]
+        np.testing.assert_allclose(seen[0], joints)
+        np.testing.assert_allclose(sorted(np.array(seen) @ joints / (joints @ joints)), np.arange(1, count + 1) / count)
+        # Its end is known now; work is counted as if it were not.
+        before, seen[:] = edges._clear.tests, []
+        assert edges.passable(np.zeros(4), 0.999 * np.array(goal))
+        assert (len(seen), edges._clear.tests) == (count - 1, before + 1)
     assert not edges.over(10)
     edges._clear.tests = 10
     assert edges.over(10)
+
+
+def test_a_blocked_end_is_looked_at_alone(gantry):
+    edges, seen = edges_of(gantry)
+    edges._clear.side_effect = lambda q: seen.append(q)
+    assert not edges.passable(np.zeros(4), np.array([0.5, 0, 0, 0]))
+    np.testing.assert_allclose(seen, [[0.5, 0, 0, 0]])
+
+
+def test_a_search_without_time_is_over_soon_and_stays_over(gantry, monkeypatch):
+    edges, _ = edges_of(gantry)
+    late = iter([False, True])
+    monkeypatch.setattr(search_space, "out_of_time", lambda: next(late, False))
+    over = [edges.over(1000) for _ in range(50)]
+    assert not over[0]
+    assert all(over[16:])
 
 
 def test_the_angle_of_a_ball_joint_bounds_points_and_edges():

@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import Any
 
@@ -30,60 +29,56 @@ class EdgeTest:
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].
-        limits: ``(n, 2)`` position limits of the joints [rad, m].
-        bounds: ``(n, 2)`` the same in the units of points.
+        bounds: ``(n, 2)`` position limits of the joints in the units of points.
         swept: ``(n,)`` largest distance that a unit of a coordinate moves a link frame [m].
         weight: ``(n,)`` the same, but at least a tenth of its largest entry: weights for distances in the workspace.
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
         self._arm, self._clear = arm, workspace.clear
-        self.scale, self.limits = joint_scale(arm), arm.position_limits
-        self.bounds = self.limits / self.scale[:, None]
+        self.scale = joint_scale(arm)
+        self.bounds = arm.position_limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
         self.weight = np.maximum(self.swept, 0.1 * self.swept.max())
         self._density = self.swept / spacing
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
-    def weighted(self) -> Callable[[Floats, Floats], bool]:
-        """Another `passable`, for points times `weight`."""
+    def weighted(self) -> EdgeTest:
+        """Another one for points times `weight`, which counts its tests with this one's."""
         test = copy.copy(self)
-        test.scale, test._density, test._known = self.scale / self.weight, self._density / self.weight, set()
-        return test.passable
-
-    def _inside(self, point: Floats) -> bool:
-        # No exception may pass through the library; when time is out nothing is free, so that it ends soon. Samples are
-        # drawn within the box of the limits, but the angle limit of a ball joint is not a box. It is convex, so an edge
-        # is within it if its ends are.
-        return not (out_of_time() or (self._balls and (self._arm.limit_excess(self.scale * point) > 0.0).any()))
+        test.scale, test.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
+        test._density, test._known = self._density / self.weight, set()
+        return test
 
     def free(self, point: Floats) -> bool:
         """Whether a point ``(n,)`` is clear."""
-        if not (self._inside(point) and self._clear(self.scale * point)):
+        q = self.scale * point
+        # Samples are drawn within the box of the limits, but the angle limit of a ball joint is not a box. It is
+        # convex, so an edge is within it if its ends are.
+        if (self._balls and (self._arm.limit_excess(q) > 0.0).any()) or not self._clear(q):
             return False
         self._known.add(point.tobytes())
         return True
 
     def passable(self, first: Floats, second: Floats) -> bool:
         """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced configurations."""
-        if not self._inside(second):
+        # An end found clear before is not tested again, but counts as work. Most edges that are blocked are so there.
+        if second.tobytes() in self._known:
+            self._clear.tests += 1
+        elif not self.free(second):
             return False
         change = second - first
-        count = max(1, math.ceil(float(np.abs(change) @ self._density)))
-        # An end found clear before is not tested again, but counts as work.
-        end = second.tobytes()
-        fractions = bisecting(count)[end in self._known :, None]
-        self._clear.tests += end in self._known
-        if self._clear.first_blocked(self.scale * (first + fractions * change)) is not None:
-            return False
-        self._known.add(end)
-        return True
+        between = bisecting(max(1, math.ceil(float(np.abs(change) @ self._density))))[1:, None]
+        return not len(between) or self._clear.first_blocked(self.scale * (first + between * change)) is None
 
     def over(self, tests: int) -> bool:
         """Whether a search must end that may test ``tests`` configurations; the search asks in its loop."""
-        # Calls count, too, of which most have a test: a planner that knows the shortest path tests nothing any more.
-        return next(self._looks) >= 2 * tests or self._clear.tests >= tests or out_of_time()
+        # Calls count, too, of which most have a test: a planner that knows the shortest path tests nothing any more. At
+        # the clock it looks now and then, since that takes as long as half a test.
+        if (calls := next(self._looks)) % 16 == 0 and out_of_time():
+            self._clear.tests = tests
+        return calls >= 2 * tests or self._clear.tests >= tests
 
 
 class SearchSpace:
@@ -110,7 +105,8 @@ class SearchSpace:
             bounds.setHigh(joint, float(high))
         self._space.setBounds(bounds)
         self.information = base.SpaceInformation(self._space)
-        self.information.setStateValidityChecker(lambda state: edges.free(np.array(state[0:n])))
+        # No exception may pass through the library; when time is out nothing is free, so that it ends soon.
+        self.information.setStateValidityChecker(lambda state: not out_of_time() and edges.free(np.array(state[0:n])))
         self.information.setMotionValidator(_validator_class(base)(self.information, edges))
         self.information.setup()
 
@@ -151,7 +147,7 @@ def _validator_class(base: Any) -> type[Any]:
             self._edges, self._n = edges, len(edges.scale)
 
         def checkMotion(self, first: Any, second: Any) -> bool:
-            return self._edges.passable(np.array(first[0 : self._n]), np.array(second[0 : self._n]))
+            return not out_of_time() and self._edges.passable(*(np.array(end[0 : self._n]) for end in (first, second)))
 
     return EdgeValidator
 

@@ -58,8 +58,8 @@ def connected(
         # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
         outside = distance / grown.radius[near]
         inside = (outside <= 1.0).nonzero()[0]
-        for index in inside if len(inside) else [outside.argmin()]:
-            node, length = near[index], distance[index]
+        for index in inside.tolist() if len(inside) else [int(outside.argmin())]:
+            node, length = int(near[index]), float(distance[index])
             # The domain may have shrunk meanwhile.
             if len(inside) and length > grown.radius[node]:
                 continue
@@ -70,7 +70,7 @@ def connected(
             if onto is not None:
                 new = onto(new)
             if near_enough(point, new) and clear(point, new):
-                return int(node), new
+                return node, new
             grown.radius[node] = _DOMAIN * longest_edge
         return None
 
@@ -134,8 +134,8 @@ class _Tree:
         lifted = np.ones((len(points), len(self._planes)))
         lifted[:, :-1] = points
         nodes = (lifted @ self._planes[:, : len(self)]).argmin(axis=1)
-        away = np.ascontiguousarray((points - self.points[nodes]).T)
-        return nodes, np.sqrt(np.square(away).sum(axis=0))
+        away = np.ascontiguousarray((points - self.points.take(nodes, axis=0)).T)
+        return nodes, np.sqrt(np.add.reduce(np.square(away, out=away), axis=0))
 
     def branch(self, node: int) -> Floats:
         """Points from the root to a node, ``(M, n)``."""

@@ -24,7 +24,7 @@ from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.registry import PLANNERS
+from lieednn_sim.registry import PLANNERS, optional_module
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.rows import TableRow, column, outcome
 from lieednn_sim.studies.study import Study
@@ -39,7 +39,7 @@ _TIMED = importlib.util.find_spec("toppra") is not None  # whether paths can be 
 _SEARCH = RrtConnectOptions(
     margin=0.002,
     max_collision_checks=(100_000_000,),
-    longest_edge=0.025,
+    longest_edge=0.04,
     spacings=(0.05, 0.02, 0.008),
     balanced=True,
     fastest=_TIMED,
@@ -100,6 +100,8 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
                 arm.check_reachable(q, what)
         except InputError as error:
             return failed(folder, name, number, planner, budget, f"{SKIPPED}: {error}")
+        if _TIMED:
+            optional_module("toppra")  # which loads Matplotlib, once in a process
         started = cpu_time()
         try:
             with time_limit(budget):
