@@ -170,25 +170,25 @@ def test_a_pushed_arm_yields_and_returns(arm, begin):
     assert tip(arm, session.tick.q)[1] > there[1] + 1e-3
     session.advance()
     assert not session.tick.force.any()
-    session.advance(300)
+    session.advance(200)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
     # A link that is held goes on being pulled until it is let go.
     session.pull("end effector", (0.0, -50.0, 0.0))
-    session.advance(100)
+    session.advance(60)
     assert tip(arm, session.tick.q)[1] < there[1] - 1e-3
     session.pull("end effector", (0.0, 0.0, 0.0))
-    session.advance(300)
+    session.advance(200)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
     # Farther from the axis the same force turns it farther.
     moved, frame = [], arm.link_poses(session.tick.q)[-1]
     for reach in (0.0, 0.3):
         point = frame.apply([reach, 0.0, 0.0])
         session.pull("end effector", (0.0, -50.0, 0.0), point)
-        session.advance(200)
+        session.advance(100)
         np.testing.assert_array_equal(session.tick.pushed, point)
         moved.append(there[1] - tip(arm, session.tick.q)[1])
         session.pull("end effector", (0.0, 0.0, 0.0))
-        session.advance(300)
+        session.advance(200)
     assert moved[1] > 1.05 * moved[0] > 0.0
     # Beyond the servos' force the arm pulls the network's state along: the bound begins again, and holds from there.
     session.push("link 2", (0.0, 2000.0, 0.0), 0.3)
