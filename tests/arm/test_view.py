@@ -71,7 +71,7 @@ def check_slopes(arm, q):
         assert rates[index == 1].sum(axis=0) @ qd == pytest.approx((sums[2] - sums[0]) / (2 * step), abs=1e-3)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_trees_are_as_mujoco_says(seed):
     rng = np.random.default_rng(seed)
