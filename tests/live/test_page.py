@@ -21,7 +21,7 @@ from lieednn_sim.live.scene import Observer
 
 pytest.importorskip("viser")
 WIDTH, HEIGHT = 720, 560
-# For a page that has begun: four pictures a second, since to draw without a graphics card takes all that a core has. The
+# For a page that has begun: few pictures a second, since to draw without a graphics card takes all that a core has. The
 # player would answer to few of them by another resolution, which takes longest, unless the page's address has one.
 RARE = """if (!window.rare) { window.rare = true; const draw = requestAnimationFrame;
 window.requestAnimationFrame = (frame) => setTimeout(draw, 250, frame); }"""
