@@ -33,7 +33,7 @@ def wait(event):
     ends = time.monotonic() + 240.0
     while not (found := event()):
         assert time.monotonic() < ends
-        time.sleep(0.05)
+        time.sleep(0.1)
     return found
 
 

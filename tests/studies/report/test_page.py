@@ -11,7 +11,7 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
 from lieednn_sim.studies.comparison.winners import winners
-from lieednn_sim.studies.report import choose_problems, page, view, write_page
+from lieednn_sim.studies.report import choose_problems, figures, page, view, write_page
 from lieednn_sim.studies.report.figures import FAMILIES, family
 
 CONTROLLERS = ("position-servo", "computed-torque")
@@ -47,6 +47,8 @@ def figures_kept():
     def keeping():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(page, "plots", plots)
+            # `test_numbers.py` lays them out.
+            patch.setattr(figures, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
             yield
 
     return keeping
