@@ -1,5 +1,6 @@
 """The session of a live view, stepped by hand: targets, refusals, pushes, menus, and that all of it is repeatable."""
 
+import contextlib
 import threading
 import time
 from types import SimpleNamespace
@@ -348,8 +349,9 @@ def test_one_late_period_is_caught_up_and_more_are_not(begin, monkeypatch):
     np.testing.assert_allclose(slept, [0.01, 0.01, 0.0, 0.0, 0.01, 0.01, 0.01], atol=1e-12)
 
 
-def test_a_worker_does_the_newest_job_and_tells_what_failed():
-    done, failed, go, begun = [], [], threading.Event(), threading.Event()
+def test_a_worker_does_the_newest_job_by_one_blas_thread_and_tells_what_failed(monkeypatch):
+    done, failed, go, begun, alone = [], [], threading.Event(), threading.Event(), []
+    monkeypatch.setattr("lieednn_sim.live.worker.one_blas_thread", lambda: contextlib.nullcontext(alone.append(1)))
     worker = Worker("test", failed.append)
 
     def first():
@@ -367,4 +369,5 @@ def test_a_worker_does_the_newest_job_and_tells_what_failed():
     worker.wait()
     assert done == []  # the first was told that there was a newer one, the second was replaced
     assert isinstance(failed[0], ZeroDivisionError)
+    assert len(alone) == 2
     worker.close()
