@@ -32,6 +32,14 @@ def table(tmp_path_factory):
     return made
 
 
+@pytest.fixture(scope="module", autouse=True)
+def not_laid_out():
+    """Figures are not laid out; `test_numbers.py` does that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
+        yield
+
+
 @pytest.fixture(scope="module")
 def figures_kept():
     """In its context pages take the figures that were drawn in it before: to draw them takes longer than all else."""
@@ -47,8 +55,6 @@ def figures_kept():
     def keeping():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(page, "plots", plots)
-            # `test_numbers.py` lays them out.
-            patch.setattr(figures, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
             yield
 
     return keeping
