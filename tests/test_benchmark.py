@@ -27,14 +27,14 @@ from lieednn_sim.synthesis import certified
 @pytest.mark.usefixtures("undrawn")
 def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     # What is measured takes as little time as may be.
-    monkeypatch.setattr(benchmark_rows, "plan", partial(plan, duration=1.5))
+    monkeypatch.setattr(benchmark_rows, "plan", partial(plan, duration=1.0))
     monkeypatch.setattr(benchmark_rows, "simulate", partial(simulate, hold=0.0))
     monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
-    monkeypatch.setattr(benchmark, "SIZES", (2, 3))
+    monkeypatch.setattr(benchmark, "SIZES", (3, 4))
     for module in (certified, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
-    benchmark.write(tmp_path, 1000)
+    benchmark.write(tmp_path, 10_000)
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
     rows, measured = written["synthesis"], written["ratios"]

@@ -49,6 +49,7 @@ SHORTER = {
         ("[1.2, 0.8, 1.0], duration=10.0", "[0.2, 0.6, 0.6], duration=3.0"),
     ),
     "docs/howto/compare.md": (("seeds=2,", "seeds=1,"),),
+    "docs/howto/policies.md": (("duration=4.0", "duration=1.0"), ("duration=2.0", "duration=1.0")),
     "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
 }
 COMMANDS = {
@@ -59,7 +60,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.usefixtures("own_names")
+@pytest.mark.usefixtures("own_names", "no_plots")
 @pytest.mark.parametrize("page", PYTHON)
 def test_the_python_blocks_of_a_page_run_in_order(page, tmp_path, monkeypatch, capsys):
     code = "\n".join(block for _, block in PYTHON[page])

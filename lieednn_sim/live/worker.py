@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from lieednn_sim.budget import reporting
+from lieednn_sim.budget import one_blas_thread, reporting
 
 
 class Superseded(Exception):
@@ -63,7 +63,7 @@ class Worker:
                     return
                 job, self._next, self._busy = self._next, None, True
             try:
-                with reporting(self.check):
+                with reporting(self.check), one_blas_thread():
                     job()
             except Superseded:
                 pass

@@ -71,7 +71,7 @@ def check_slopes(arm, q):
         assert rates[index == 1].sum(axis=0) @ qd == pytest.approx((sums[2] - sums[0]) / (2 * step), abs=1e-3)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_trees_are_as_mujoco_says(seed):
     rng = np.random.default_rng(seed)
@@ -234,11 +234,11 @@ def test_open_loops_are_no_contacts_in_a_report(monkeypatch):
     bodies = body("crank", hinge("crank"), body("strut", hinge("strut"), site("tip", ".5 0 0"), ".3 0 0"))
     bodies += body("piston", slide("push", more='range=".4 1" limited="true"'), site("pin", "0 0 0"))
     spec = mujoco.MjSpec.from_string(MODEL.format(bodies, connect("tip", "pin"), "dense"))
-    monkeypatch.setattr(remarks, "_PATHS", 256)
+    monkeypatch.setattr(remarks, "_PATHS", 64)
     arm = ls.Arm.from_spec(spec, joints=["push"], home={"crank": 1, "strut": -2, "push": 0.6}, floor="none")
-    (told,) = (note for note in arm.import_report.notes if "256 random configurations" in note)
-    assert told.endswith(" of 256 random configurations are where closed loops stay open: these cannot be targets")
-    assert int(told.split()[0]) == pytest.approx(256 / 3, abs=25)
+    (told,) = (note for note in arm.import_report.notes if "64 random configurations" in note)
+    assert told.endswith(" of 64 random configurations are where closed loops stay open: these cannot be targets")
+    assert int(told.split()[0]) == pytest.approx(64 / 3, abs=10)
 
 
 PLANAR = """<mujoco><compiler angle="radian"/><worldbody><body name="mocap" mocap="true" pos="{}"/>

@@ -26,7 +26,7 @@ def hook(tmp_path):
 
 @pytest.mark.usefixtures("drawing")
 def test_learn(hook, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 150)
+    monkeypatch.setattr(paths, "SAMPLES", 60)
     output = tmp_path / "learned"
     words = ["learn", *hook, "--unit", "cm", "--starts", "20", "--rivals", "dmp"]
     words += ["--deviation", "0.004", "--output", str(output)]
@@ -81,7 +81,7 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
 
 
 def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 150)
+    monkeypatch.setattr(paths, "SAMPLES", 60)
     s = np.linspace(0.0, 1.0, 60)
     law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     files = []

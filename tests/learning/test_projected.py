@@ -22,8 +22,8 @@ def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
 
 
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
-    results = [trained(TrainingOptions.tracked(), seed) for seed in range(8)]
-    assert sum(result.success for result in results) >= 7
+    results = [trained(TrainingOptions.tracked(), seed) for seed in range(6)]
+    assert sum(result.success for result in results) >= 5
     # Trials that were taken back leave gaps in the epochs, and no row.
     assert any(len(result.history) <= result.epochs for result in results)
     for history in (result.history for result in results):
@@ -52,7 +52,7 @@ def test_repaired_algorithm_converges_where_the_printed_one_sticks():
     assert repaired.history.accuracy[-1] == 1.0
     assert repaired.history.epoch[-1] == repaired.epochs
     assert repaired.epochs % 10 == 0
-    printed = train(goal, TrainingOptions.literal(max_epochs=400), seed=4)
+    printed = train(goal, TrainingOptions.literal(max_epochs=200), seed=4)
     assert not printed.success
     assert printed.reason is StopReason.EPOCHS_SPENT
     assert printed.error > 0.1

@@ -21,10 +21,10 @@ from lieednn_sim.live.scene import Observer
 
 pytest.importorskip("viser")
 WIDTH, HEIGHT = 720, 560
-# For a page that has begun: ten pictures a second, since to draw without a graphics card takes all that a core has. The
+# For a page that has begun: few pictures a second, since to draw without a graphics card takes all that a core has. The
 # player would answer to few of them by another resolution, which takes longest, unless the page's address has one.
 RARE = """if (!window.rare) { window.rare = true; const draw = requestAnimationFrame;
-window.requestAnimationFrame = (frame) => setTimeout(draw, 100, frame); }"""
+window.requestAnimationFrame = (frame) => setTimeout(draw, 250, frame); }"""
 RESOLUTION = "?fixedDpr=1"
 
 
@@ -33,7 +33,7 @@ def wait(event):
     ends = time.monotonic() + 240.0
     while not (found := event()):
         assert time.monotonic() < ends
-        time.sleep(0.05)
+        time.sleep(0.1)
     return found
 
 
@@ -177,6 +177,7 @@ def test_the_button_pushes_and_the_menu_changes_the_policy(page, browser):
 
 @pytest.mark.browser
 def test_another_tab_shows_the_arm_its_loss_leaves_the_first_and_nothing_complains(page, browser):
+    page.session.paused = True  # it is not about motion
     first = browser.current_window_handle
     browser.switch_to.new_window("tab")
     browser.get(page.url + RESOLUTION)

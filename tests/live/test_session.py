@@ -1,5 +1,6 @@
 """The session of a live view, stepped by hand: targets, refusals, pushes, menus, and that all of it is repeatable."""
 
+import contextlib
 import threading
 import time
 from types import SimpleNamespace
@@ -170,25 +171,25 @@ def test_a_pushed_arm_yields_and_returns(arm, begin):
     assert tip(arm, session.tick.q)[1] > there[1] + 1e-3
     session.advance()
     assert not session.tick.force.any()
-    session.advance(300)
+    session.advance(200)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
     # A link that is held goes on being pulled until it is let go.
     session.pull("end effector", (0.0, -50.0, 0.0))
-    session.advance(100)
+    session.advance(60)
     assert tip(arm, session.tick.q)[1] < there[1] - 1e-3
     session.pull("end effector", (0.0, 0.0, 0.0))
-    session.advance(300)
+    session.advance(200)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
     # Farther from the axis the same force turns it farther.
     moved, frame = [], arm.link_poses(session.tick.q)[-1]
     for reach in (0.0, 0.3):
         point = frame.apply([reach, 0.0, 0.0])
         session.pull("end effector", (0.0, -50.0, 0.0), point)
-        session.advance(200)
+        session.advance(100)
         np.testing.assert_array_equal(session.tick.pushed, point)
         moved.append(there[1] - tip(arm, session.tick.q)[1])
         session.pull("end effector", (0.0, 0.0, 0.0))
-        session.advance(300)
+        session.advance(200)
     assert moved[1] > 1.05 * moved[0] > 0.0
     # Beyond the servos' force the arm pulls the network's state along: the bound begins again, and holds from there.
     session.push("link 2", (0.0, 2000.0, 0.0), 0.3)
@@ -348,8 +349,9 @@ def test_one_late_period_is_caught_up_and_more_are_not(begin, monkeypatch):
     np.testing.assert_allclose(slept, [0.01, 0.01, 0.0, 0.0, 0.01, 0.01, 0.01], atol=1e-12)
 
 
-def test_a_worker_does_the_newest_job_and_tells_what_failed():
-    done, failed, go, begun = [], [], threading.Event(), threading.Event()
+def test_a_worker_does_the_newest_job_by_one_blas_thread_and_tells_what_failed(monkeypatch):
+    done, failed, go, begun, alone = [], [], threading.Event(), threading.Event(), []
+    monkeypatch.setattr("lieednn_sim.live.worker.one_blas_thread", lambda: contextlib.nullcontext(alone.append(1)))
     worker = Worker("test", failed.append)
 
     def first():
@@ -367,4 +369,5 @@ def test_a_worker_does_the_newest_job_and_tells_what_failed():
     worker.wait()
     assert done == []  # the first was told that there was a newer one, the second was replaced
     assert isinstance(failed[0], ZeroDivisionError)
+    assert len(alone) == 2
     worker.close()

@@ -21,7 +21,7 @@ class Compiled:
 
     def __init__(self, network: LieEDNN, folder) -> None:
         self.size, self.visible = network.bias.size, 6 * network.n_visible
-        self.library = library(network.to_c(folder))
+        self.library = library(network.to_c(folder), "-O1")
         self.memory = np.zeros(6 * self.size + self.visible)
         self.call("init")
 

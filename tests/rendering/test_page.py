@@ -32,7 +32,15 @@ def rollout():
     return make_rollout(arm, q, motion_end=0.2)
 
 
-def test_without_viser_the_error_says_what_to_install(rollout, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def staged(rollout):
+    """What a page of it shows, and the target's marker."""
+    model, marker = scene_setup.staged(rollout.arm, scene_setup.occupied(rollout))
+    return viser_scene.Shapes(model), marker
+
+
+def test_without_viser_the_error_says_what_to_install(gantry, tmp_path, monkeypatch):
+    rollout = make_rollout(gantry)
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(LieEDNNError, match=r"viser is not installed .*: pip install 'lieednn_sim\[view\]'"):
         render_page(rollout, tmp_path / "motion.html")
@@ -71,11 +79,9 @@ def test_backing_off_fills_the_picture():
     np.testing.assert_allclose(high.position, [0.0, -4.0, 4.0], atol=1e-9)
 
 
-def test_only_what_a_film_shows_is_in_the_scene(rollout):
+def test_only_what_a_film_shows_is_in_the_scene(staged):
     """Not the collision geometry; the glass ball of the target is as transparent as in a film."""
-    arm = rollout.arm
-    model, _ = scene_setup.staged(arm, scene_setup.occupied(rollout))
-    shapes = viser_scene.Shapes(model)
+    shapes, model = staged[0], staged[0].model
     colours = {shape.rgba for shape in shapes.shapes}
     assert (0.2, 0.6, 0.9, 0.35) not in colours  # of collision geoms, in group 3
     assert (0.08, 0.75, 0.7, 0.25) in colours
@@ -105,10 +111,10 @@ def test_two_arms_side_by_side_share_their_geometry(gantry):
     assert 1.0 <= one.ratio <= two.ratio == pytest.approx(16 / 9)
 
 
-def test_the_planned_path_is_left_out_only_where_it_has_been_travelled(rollout):
-    model, marker = scene_setup.staged(rollout.arm, scene_setup.occupied(rollout))
+def test_the_planned_path_is_left_out_only_where_it_has_been_travelled(rollout, staged):
+    shapes, marker = staged
     with quiet_server() as server:
-        copy = _Copy(server.scene, viser_scene.Shapes(model), marker, rollout, "/0", np.zeros(3), 1.0)
+        copy = _Copy(server.scene, shapes, marker, rollout, "/0", np.zeros(3), 1.0)
         copy.show(0.1)
         ends = rollout.link_position[[rollout.t.searchsorted(0.1), -1], -1]
         np.testing.assert_allclose([copy._planned.points[0, 0], copy._planned.points[-1, -1]], ends, atol=1e-4)
@@ -181,7 +187,7 @@ def test_in_a_browser_the_page_plays_to_its_end(rollout, browser):
     # A busy machine draws the arm later; the limit is for a test that would hang.
     ends = time.monotonic() + 240.0
     while (seen := orange()) <= 80 and time.monotonic() < ends:
-        time.sleep(0.1)
+        time.sleep(0.5)
     assert seen > 80, "the arm is orange"
     requests = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     asked = [item["params"]["request"]["url"] for item in requests if item["method"] == "Network.requestWillBeSent"]

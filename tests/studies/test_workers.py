@@ -85,6 +85,7 @@ def test_outcomes_come_as_tasks_end_and_few_are_submitted_ahead(monkeypatch):
 
 def test_a_worker_that_dies_loses_no_finished_task(monkeypatch):
     monkeypatch.setattr(workers, "worker_pool", lambda _: worker_pool(1))
+    monkeypatch.setattr(workers, "_prepare_worker", print)  # as above
     kept, tasks, before = [], [(abs, -1), (os._exit, 1), (abs, -2)], set(multiprocessing.active_children())
     with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
         run_each(operator.call, tasks, lambda *it: kept.append(it), workers=2)

@@ -32,7 +32,7 @@ def assert_same(one, other):
 
 
 @pytest.mark.parametrize("rule", BIAS_RULES)
-@pytest.mark.parametrize(("number", "neurons"), [(20, 2), (6, 4)])
+@pytest.mark.parametrize(("number", "neurons"), [(12, 2), (6, 4)])
 def test_each_is_what_it_is_alone_to_the_last_bit(number, neurons, rule):
     targets = mixed_targets(number, neurons)
     options = {"bias": rule, "max_attempts": 3}

@@ -11,7 +11,7 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
 from lieednn_sim.studies.comparison.winners import winners
-from lieednn_sim.studies.report import choose_problems, page, view, write_page
+from lieednn_sim.studies.report import choose_problems, figures, page, view, write_page
 from lieednn_sim.studies.report.figures import FAMILIES, family
 
 CONTROLLERS = ("position-servo", "computed-torque")
@@ -30,6 +30,14 @@ def table(tmp_path_factory):
     reason = "plan: <b>no</b> way past 'link4' & co after 3.5 s"
     made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, reason)])
     return made
+
+
+@pytest.fixture(scope="module", autouse=True)
+def not_laid_out():
+    """Figures are not laid out; `test_numbers.py` does that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
+        yield
 
 
 @pytest.fixture(scope="module")
