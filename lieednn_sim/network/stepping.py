@@ -10,8 +10,8 @@ the visible ones obey x' = u(h) - x with u(h) = (mu / gamma) (W phi(h) + b), so 
 
     x(z) = x_d + (x_0 - x_d) e^-z + integral_0^z e^-(z - s) (u(h(s)) - x_d) ds,    x_d = u(a).
 
-The integrand vanishes at rest, so x_d is kept exactly; Simpson's rule integrates it. Along motions of arms all its errors
-together are below 1e-6.
+The integrand vanishes at rest, so x_d is kept exactly; Simpson's rule integrates it. Along a motion of an arm all its
+errors together are below 1e-6.
 """
 
 from __future__ import annotations

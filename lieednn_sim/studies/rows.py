@@ -9,7 +9,6 @@ from operator import attrgetter
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
-from scipy.special import ndtri
 
 from lieednn_sim.values import set_fields
 
@@ -106,10 +105,11 @@ class Group(Generic[R]):
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    z, p = ndtri(0.975), successes / total
-    scale = 2.0 * (total + z**2)
-    middle, away = (2.0 * total * p + z**2) / scale, z / scale * np.sqrt(4.0 * total * p * (1.0 - p) + z**2)
-    return float(middle - away) if successes else 0.0, float(middle + away) if successes < total else 1.0
+    # Slow to import, and asked for at the end of a study.
+    from scipy.stats import binomtest
+
+    interval = binomtest(successes, total).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def grouped(rows: Iterable[R], columns: Sequence[str]) -> list[Group[R]]:
