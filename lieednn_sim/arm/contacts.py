@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
@@ -152,11 +152,8 @@ class ContactFinder:
 
     def _found(self, qpos: Floats) -> int:
         """The number of contacts, which are then in ``_data``."""
-        model, data = self._model, self._data
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        return int(data.ncon)
+        mujoco.mj_collision(self._model, kinematics_at(self._model, qpos, self._data))
+        return int(self._data.ncon)
 
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""

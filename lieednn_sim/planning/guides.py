@@ -178,15 +178,16 @@ class _Search:
 
     def path(self, attempt: int) -> Floats | None:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
-        problem, options, edges = self.problem, self.options, self.edges.weighted()
-        region, scale, checks = problem.path_constraint, edges.scale, options.collision_checks
+        problem, options, edges = self.problem, self.options, self.edges
+        region, weight, checks = problem.path_constraint, edges.weight, options.collision_checks
+        box, scale, clear = weight[:, None] * edges.bounds, edges.scale / weight, edges.weighted()
         search, shortcuts = np.random.SeedSequence([problem.seed, attempt]).spawn(2)
         corners = connected(
             problem.start / scale,
             problem.target / scale,
-            bounds=edges.bounds,
-            longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(edges.bounds, axis=1))),
-            clear=edges.passable,
+            bounds=box,
+            longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
+            clear=clear,
             # A projection takes as long as five tests.
             over=partial(edges.over, (attempt + 1) * (checks if region is None else checks // 5)),
             seed=search,
@@ -195,7 +196,7 @@ class _Search:
         check_time()
         # Straight shortcuts would leave the region.
         if corners is not None and region is None:
-            corners = shortened(corners, edges.passable, options.shortcuts, np.random.default_rng(shortcuts))
+            corners = shortened(corners, clear, options.shortcuts, np.random.default_rng(shortcuts))
         return None if corners is None else scale * corners
 
 

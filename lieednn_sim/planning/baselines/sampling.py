@@ -185,14 +185,15 @@ def ompl_search(name: str) -> Search:
 
 def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.SeedSequence) -> Any:
     """The search by `trees`, with distances in the workspace."""
-    edges = space.edges.weighted()
+    edges, weight = space.edges, space.edges.weight
+    box = weight[:, None] * edges.limits / edges.scale[:, None]
     result = connected(
-        *(q / edges.scale for q in space.ends),
-        bounds=edges.bounds,
-        longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(edges.bounds, axis=1))),
-        clear=edges.passable,
+        *(weight * q / edges.scale for q in space.ends),
+        bounds=box,
+        longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
+        clear=edges.weighted(),
         over=partial(edges.over, max(options.max_collision_checks)),
         seed=seed,
     )
     check_time()
-    return None if result is None else space.path(result / edges.weight)
+    return None if result is None else space.path(result / weight)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import Any
 
@@ -29,27 +30,27 @@ class EdgeTest:
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].
-        bounds: ``(n, 2)`` position limits of the joints in the units of points.
+        limits: ``(n, 2)`` position limits of the joints [rad, m].
+        bounds: ``(n, 2)`` the same in the units of points.
         swept: ``(n,)`` largest distance that a unit of a coordinate moves a link frame [m].
         weight: ``(n,)`` the same, but at least a tenth of its largest entry: weights for distances in the workspace.
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
         self._arm, self._clear = arm, workspace.clear
-        self.scale = joint_scale(arm)
-        self.bounds = arm.position_limits / self.scale[:, None]
+        self.scale, self.limits = joint_scale(arm), arm.position_limits
+        self.bounds = self.limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
         self.weight = np.maximum(self.swept, 0.1 * self.swept.max())
         self._density = self.swept / spacing
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
-    def weighted(self) -> EdgeTest:
-        """Another one for points times `weight`, which counts its tests with this one's."""
+    def weighted(self) -> Callable[[Floats, Floats], bool]:
+        """Another `passable`, for points times `weight`."""
         test = copy.copy(self)
-        test.scale, test.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
-        test._density, test._known = self._density / self.weight, set()
-        return test
+        test.scale, test._density, test._known = self.scale / self.weight, self._density / self.weight, set()
+        return test.passable
 
     def free(self, point: Floats) -> bool:
         """Whether a point ``(n,)`` is clear."""
