@@ -57,7 +57,7 @@ def as_floats(
     elif type(value) in (float, np.float64):
         array = np.asarray(value)
     else:
-        array = as_numbers(name, value, shape, batched)
+        array = as_array(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
     # Fast path for training loops. If the sum of squares is small no entry is large, which takes a third of the time of
     # finding the largest; a NaN makes both comparisons false. Long vectors are for BLAS's threads, which would spin on
@@ -76,7 +76,7 @@ def as_floats(
     return array
 
 
-def as_numbers(name: str, value: Any, shape: tuple[int | str, ...] = (), batched: bool = True) -> NDArray[np.float64]:
+def as_array(name: str, value: Any, shape: tuple[int | str, ...] = (), batched: bool = True) -> NDArray[np.float64]:
     """Return ``value`` as a float64 array that need not be finite, by default of any shape, or raise `InputError`."""
     try:
         # A known shape is checked first, before a large array is copied.

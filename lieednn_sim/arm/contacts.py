@@ -141,7 +141,7 @@ class ContactFinder:
     def first(self, qpos: Floats) -> int:
         """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
         model, data = self._model, self._data
-        # Without a call for each of them, which takes a tenth of a look.
+        # `_found` written out, whose call takes a twentieth of a look.
         for index, data.qpos[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie import left_jacobian_so3
+from lieednn_sim.lie.se3 import left_jacobian_so3, quaternion_parts
 from lieednn_sim.values import Floats
 
 # A joint that follows another by qpos = ratio * (qpos of the leader) + shift: leader, ratio, shift [rad, m].
@@ -72,10 +72,8 @@ class Coordinates:
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
             # In a quarter of the time of SciPy's `Rotation`.
-            angles = self.angles(q)[..., None]
-            qpos[..., self.ball_addresses[:, :1]] = np.cos(0.5 * angles)
-            parts = np.sin(0.5 * angles) / np.maximum(angles, 1e-150)
-            qpos[..., self.ball_addresses[:, 1:]] = parts * q[..., self.balls]
+            real, vector = quaternion_parts(self.angles(q)[..., None], q[..., self.balls])
+            qpos[..., self.ball_addresses[:, :1]], qpos[..., self.ball_addresses[:, 1:]] = real, vector
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:

@@ -26,7 +26,7 @@ _UNIT = np.sqrt(0.5)
 # Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
 _HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
 _ONE = np.eye(4).ravel()
-_HALF_TRACE = 0.5 * _ONE[:, None]
+_MINUS_HALF_TRACE = -0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
@@ -157,7 +157,7 @@ def _exp(twists: Floats) -> tuple[Floats, Floats]:
     matrix = flat.reshape(-1, 4, 4)
     double = (matrix @ matrix).reshape(-1, 16)
     # |omega|^2 = -tr(hat(xi)^2) / 2
-    square = np.maximum(-double.dot(_HALF_TRACE), 1e-16)
+    square = np.maximum(double.dot(_MINUS_HALF_TRACE), 1e-16)
     angle = np.sqrt(square)
     sine = np.sin(0.5 * angle)
     left = (2.0 * sine * sine / square) * flat

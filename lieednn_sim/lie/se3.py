@@ -96,14 +96,18 @@ def rotation_vectors(rotation: Rotation) -> Floats:
     return np.asarray(parameters * (4.0 * np.arctan(size) / np.maximum(size, 1e-150))[..., None])
 
 
+def quaternion_parts(angle: Floats, turn: Floats) -> tuple[Floats, Floats]:
+    """Real and vector parts of unit quaternions, from rotation vectors and their norms, of shapes that broadcast."""
+    return np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
+
+
 def turn_of(turns: Sequence[Floats]) -> Floats:
     """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
     angles = [np.sqrt(np.add.reduce(turn * turn)) for turn in turns]
     if len(turns) == 1:
         return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
-    real, part = np.cos(0.5 * angles[0]), np.sin(0.5 * angles[0]) / np.maximum(angles[0], 1e-150) * turns[0]
-    for angle, turn in zip(angles[1:], turns[1:], strict=True):
-        cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
+    (real, part), *others = map(quaternion_parts, angles, turns)
+    for cosine, sine in others:
         dot = np.add.reduce(part * sine)
         real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)
     size = np.sqrt(np.add.reduce(part * part))

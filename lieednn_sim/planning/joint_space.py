@@ -32,10 +32,7 @@ class ClearanceTest:
 
     def __call__(self, q: Floats) -> bool:
         """True when nothing is closer than the margin at ``q`` ``(n,)``, and `Arm.stops` are kept."""
-        if self._arm.stops is not None:
-            return self.first_blocked(q[None]) is None
-        self.tests += 1
-        return self._finder.first(self._arm.to_qpos(q[None], strict=False)) == 1
+        return self.first_blocked(q[None]) is None
 
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None.

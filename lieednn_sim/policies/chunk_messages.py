@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.chunks import MOST_TARGETS
 from lieednn_sim.policies.chunks import ChunkPolicy
-from lieednn_sim.validation import as_floats, as_nonnegative, as_numbers, as_positive
+from lieednn_sim.validation import as_array, as_floats, as_nonnegative, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -60,7 +60,7 @@ class ChunkStep:
         state = (transition.get("observation") or {}).get("observation.state")
         measured = None
         if state is not None:
-            seen = np.atleast_1d(as_numbers("observation.state", state))
+            seen = np.atleast_1d(as_array("observation.state", state))
             seen = seen.ravel() if seen.size == seen.shape[-1] else seen
             measured = as_floats("observation.state", seen[..., :n], (n,)) * self._scale
         if self._stay is None:
@@ -70,7 +70,7 @@ class ChunkStep:
             self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
         chunk = transition.get("action")
         if chunk is not None:
-            self._like, targets = getattr(chunk, "new_tensor", self._like), np.atleast_1d(as_numbers("action", chunk))
+            self._like, targets = getattr(chunk, "new_tensor", self._like), np.atleast_1d(as_array("action", chunk))
             targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
             joints = targets[..., :n] * self._scale[: targets.shape[-1]]
             joints[~np.isfinite(targets).all(axis=-1)] = np.nan  # a gripper's, too

@@ -195,7 +195,8 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _command(self, end: Floats, curve: _Part | None) -> None:
         """Take note of what is followed and where it ends."""
-        self._left = self.chunk_time
+        if curve is None:
+            self._left = self.chunk_time
         self._wanted = self._goal = end
         self._curve, self._later, self._search, self._path = curve, [], None, None
 

@@ -144,27 +144,21 @@ def run_reactions(arm: str, scene: str, policy: str, seed: int, *, user_files: U
         begin = float(nominal.rollout.t[np.argmax(gone >= 0.35)])
         rows = [_row(task, policy, "none", nominal)]
         for disturbance in DISTURBANCES[1:]:
-            step = "simulation"
+            if disturbance == "obstacle":
+                rows.append(_obstructed(task, policy, nominal, gone, begin))
+                continue
             try:
-                if disturbance == "obstacle":
-                    # A pole walks into the way; up to then the run is the undisturbed one.
-                    rng, step = np.random.default_rng([seed, DISTURBANCES.index(disturbance)]), "problem"
-                    among, pole = walking_pole(task.arm, nominal.rollout.t, nominal.rollout.q, gone, begin, rng)
-                    step = "simulation"
-                    reacting = replace(task, arm=among).policy(policy, obstructed=True)
-                    following = _run(reacting, task.target, Disturbances(obstacles=(pole,)))
-                else:
-                    targets, changes, end = _disturbed(task, result, disturbance, begin, path)
-                    following = _run(result, targets, changes)
+                targets, changes, end = _disturbed(task, result, disturbance, begin, path)
+                following = _run(result, targets, changes)
             except LieEDNNError as error:
-                rows.append(Reaction(arm, scene, policy, disturbance, seed, reason=f"{step}: {error}"))
+                rows.append(Reaction(arm, scene, policy, disturbance, seed, reason=f"simulation: {error}"))
                 continue
             row = _row(task, policy, disturbance, following)
-            if pushes := following.rollout.disturbances.pushes:
+            if changes is not None:
                 back = path.recovery(following.rollout.t, following.rollout.q, begin, end)
                 row = replace(row, deviation=back.deviation, back_s=back.time_s, back_fraction=back.fraction)
                 if disturbance == "push":
-                    row = replace(row, push_n=float(np.linalg.norm(pushes[0].force)))
+                    row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
             rows.append(row)
         return rows
 
@@ -201,6 +195,21 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
         settled_s=evaluation.settling_s,
         step_us=1e6 * float(np.median(following.step_time)),
     )
+
+
+def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin: float) -> Reaction:
+    """The row of a run in which a pole walks into the way; up to then it is the undisturbed one."""
+    kind, ran = "obstacle", nominal.rollout
+    rng = np.random.default_rng([task.seed, DISTURBANCES.index(kind)])
+    step = "problem"
+    try:
+        arm, pole = walking_pole(task.arm, ran.t, ran.q, gone, begin, rng)
+        step = "simulation"
+        result = replace(task, arm=arm).policy(policy, obstructed=True)
+        following = _run(result, task.target, Disturbances(obstacles=(pole,)))
+    except LieEDNNError as error:
+        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"{step}: {error}")
+    return _row(task, policy, kind, following)
 
 
 def _disturbed(
