@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PPoly
@@ -40,14 +41,46 @@ BASE_FRACTION, FRACTION = 0.5, 0.8
 _SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
 # Samples of a transition, and of a shorter fade.
 EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
-_EVEN_POWERS = EVEN[:, None] ** _POWERS.T
+
+
+def _powers(s: Floats) -> Floats:
+    """``(K, 6)`` powers of ``(K,)``, the lowest first."""
+    powers = np.empty((6, len(s)))
+    powers[0], powers[1:] = 1.0, s
+    return np.asarray(np.multiply.accumulate(powers, out=powers).T)
+
+
+_EVEN_POWERS = _powers(EVEN)
+
+
+class Straight:
+    """The straight minimum-jerk motion, with what of a `PPoly` is needed, whose attributes take ten times as long.
+
+    Attributes:
+        x: ``(2,)`` times of its begin, 0, and end [s].
+        c: ``(6, 1, n)`` coefficients, the highest power first.
+    """
+
+    def __init__(self, start: Floats, target: Floats, duration: float) -> None:
+        self.x, self.c = np.array([0.0, duration]), np.zeros((6, 1, len(start)))
+        for k, factor in enumerate((6.0, -15.0, 10.0)):
+            self.c[k] = factor / duration ** (5 - k) * (target - start)
+        self.c[5] = start
+
+    def __call__(self, t: Floats, nu: int = 0) -> Floats:
+        """Configurations ``(K, n)``, or their derivatives of an order up to 2, at times ``(K,)`` up to the end."""
+        return np.asarray(_powers(t) @ (_DERIVATIVES[nu::3] @ self.c[::-1, 0]))
+
+
+# From rest to rest; a piecewise polynomial is a path that was searched for.
+BaseMotion: TypeAlias = PPoly | Straight
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
     """A motion of the joints from a moving state to rest, twice continuously differentiable where its base is."""
 
-    base: PPoly  # b, a piecewise polynomial from rest to rest over [0, its last breakpoint]
+    base: Any  # b, a `BaseMotion` from rest to rest over [0, its last breakpoint], or what has its attributes
     slower: float  # factor on its duration
     differences: Floats  # ``(3, n)`` e, v and a
     fade: float  # T_c [s]
@@ -60,7 +93,7 @@ class Transition:
     @property
     def end(self) -> Floats:
         """Joint coordinates ``(n,)`` at the end."""
-        return np.asarray(self.base(self.base.x[-1]))
+        return np.asarray(self.base(self.base.x[-1:])[0])
 
     @cached_property
     def even(self) -> Floats:
@@ -72,9 +105,7 @@ class Transition:
 
         It rests after its end.
         """
-        powers = np.empty((6, len(t)))
-        powers[0], powers[1:] = 1.0, np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
-        result = self._sum(np.multiply.accumulate(powers, out=powers).T, orders)
+        result = self._sum(_powers(np.minimum(np.maximum(t / self.fade, 0.0), 1.0)), orders)
         if self._own is None:
             self._add_base(result, t)
         return result
@@ -93,10 +124,9 @@ class Transition:
 
     @cached_property
     def _own(self) -> Floats | None:
-        """The base's coefficients ``(k, n)``, the lowest first, if it has one piece, and corrections take as long."""
-        # With them the whole motion is one polynomial. PPoly's attributes are dear.
-        same = self.fade == self.duration and isinstance(self.base, PPoly)
-        return c[::-1, 0] if same and (c := self.base.c).shape[1] == 1 else None
+        """The base's coefficients ``(6, n)``, the lowest first, if it is straight, and corrections take as long."""
+        # With them the whole motion is one polynomial.
+        return self.base.c[::-1, 0] if self.fade == self.duration and isinstance(self.base, Straight) else None
 
     @cached_property
     def _factors(self) -> Floats:
@@ -104,7 +134,7 @@ class Transition:
         times = self.fade ** _POWERS[:3]
         factors = _FADING @ (self.differences * times)
         if self._own is not None:
-            factors[: len(self._own)] += self._own * (self.duration / self.slower) ** _POWERS[: len(self._own)]
+            factors += self._own * (self.duration / self.slower) ** _POWERS
         return np.asarray((_DERIVATIVES @ factors).reshape(6, 3, -1) / times).reshape(6, -1)
 
     def _add_base(self, result: Floats, t: Floats) -> None:
@@ -114,7 +144,9 @@ class Transition:
             part += self.base(own, nu=order) / self.slower**order
 
 
-def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
+def transition(
+    arm: Arm, now: Floats, base: BaseMotion, clear: Callable[[Floats], str | None] | None = None
+) -> Transition:
     """The fastest tried transition from a state onto a base motion that keeps the arm's limits and clearance.
 
     Positions, velocities and accelerations are checked at samples, the latter two against `FRACTION` of their limits.
@@ -177,16 +209,11 @@ def _evenly(q: Floats) -> Floats:
     return np.concatenate([q[:1], q[k + 1] - ((way[k] - at) / ways[k])[:, None] * steps[k], q[-1:]])
 
 
-def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
+def straight(arm: Arm, start: Floats, target: Floats, least: float) -> Straight:
     """The straight minimum-jerk motion within `BASE_FRACTION` of the limits, in at least ``least`` [s]."""
     distance = np.abs(target - start)
     # The law's largest speed and acceleration on [0, 1].
-    duration = max(least, _slower(arm, 1.875 * distance, 10.0 / math.sqrt(3.0) * distance))
-    factors = np.zeros((6, 1, len(start)))
-    for k, factor in enumerate((6.0, -15.0, 10.0)):
-        factors[k] = factor / duration ** (5 - k) * (target - start)
-    factors[5] = start
-    return PPoly.construct_fast(factors, np.array([0.0, duration]))
+    return Straight(start, target, max(least, _slower(arm, 1.875 * distance, 10.0 / math.sqrt(3.0) * distance)))
 
 
 def along(arm: Arm, motion: Motion) -> PPoly:

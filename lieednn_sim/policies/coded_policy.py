@@ -23,14 +23,13 @@ from collections.abc import Callable
 from types import MappingProxyType
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.timed_path import TimedPath
-from lieednn_sim.planning.transition import Transition, straight, transition
+from lieednn_sim.planning.transition import BaseMotion, Transition, straight, transition
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
@@ -136,7 +135,7 @@ class CodedPolicy(FeedbackPolicy):
         # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
         return max(min(wish, max(low, high)), min(low, high, self._waiting))
 
-    def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
+    def take(self, base: BaseMotion, clear: Callable[[Floats], str | None]) -> None:
         """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
         self._go_along(lambda now: transition(self.arm, now, base, clear))
 

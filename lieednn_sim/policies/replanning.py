@@ -21,14 +21,13 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.transition import along, straight
+from lieednn_sim.planning.transition import BaseMotion, along, straight
 from lieednn_sim.policies.coded_policy import RESTS, SOONEST, CodedPolicy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.making import PolicyTask
@@ -112,8 +111,8 @@ class ReplanningPolicy(CodedPolicy):
         self._periods = self._searches = 0
         self._goal: Floats | None = None
         # A search, when it is due, and whether it is for a way out of an obstacle's way.
-        self._search: tuple[Future[PPoly], int, bool] | None = None
-        self._path: PPoly | None = None
+        self._search: tuple[Future[BaseMotion], int, bool] | None = None
+        self._path: BaseMotion | None = None
         # The obstacle that is evaded; `_caught` says that it cannot be.
         self._evaded = ""
         lead = (self._options.search_periods + self._options.look_every) * self.period
@@ -166,7 +165,7 @@ class ReplanningPolicy(CodedPolicy):
         self._blocked_at = self._ends_at = math.inf
         self._blocker, self._reason, self._caught = "", "", False
 
-    def _turn_to(self, base: PPoly) -> None:
+    def _turn_to(self, base: BaseMotion) -> None:
         """Take a base motion; raises `PlanError`."""
 
         def clear(q: Floats) -> str | None:
@@ -207,7 +206,7 @@ class ReplanningPolicy(CodedPolicy):
         self._start(False, path_around, dict(self._surroundings.places), ends, options.margin, options.search)
         self._reason = "a path is searched for"
 
-    def _start(self, evades: bool, search: Callable[..., PPoly], *arguments: Any) -> None:
+    def _start(self, evades: bool, search: Callable[..., BaseMotion], *arguments: Any) -> None:
         """Start a search, see `searching.aside`, which also gets a seed of its own."""
         seed, self._searches = self._seed + self._searches, self._searches + 1
         due = self._periods + self._options.search_periods

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -17,7 +16,7 @@ from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms, fixed_body,
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.planning.transition import along, straight
+from lieednn_sim.planning.transition import BaseMotion, along, straight
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
@@ -165,7 +164,7 @@ def path_around(
     margin: float,
     options: RrtConnectOptions,
     seed: int,
-) -> PPoly:
+) -> BaseMotion:
     """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
     It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
@@ -194,7 +193,7 @@ def evasion(
     lead: float,
     horizon: float,
     seed: int,
-) -> PPoly:
+) -> BaseMotion:
     """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they are there.
 
     Tried are configurations around the start. The one that a straight motion reaches first is taken which stays clear
