@@ -140,9 +140,9 @@ class ContactFinder:
 
     def first(self, qpos: Floats) -> int:
         """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
-        model, data = self._model, self._data
+        model, data, position = self._model, self._data, self._data.qpos
         # `_found` written out, whose call takes a twentieth of a look.
-        for index, data.qpos[:] in enumerate(qpos):
+        for index, position[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             # Of the few there are, Python finds the least in a fifth of NumPy's time.

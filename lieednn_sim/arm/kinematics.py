@@ -220,9 +220,9 @@ class CompoundJoints:
                 twists[..., links, :] = logarithm(*self._poses(offset, links, coordinates))
         if once:
             vectors = parts @ offset.reshape(-1, offset.shape[-1]).T
-            *turns, total, difference = (vectors + anchors).reshape(len(vectors) // (3 * len(once)), 3, -1)
-            omega = turn_of(turns)
-            found = np.concatenate([omega, linear_part(omega, total, difference)])
+            vectors = (vectors + anchors).reshape(len(vectors) // (3 * len(once)), 3, -1)
+            omega = turn_of(vectors[:-2])
+            found = np.concatenate([omega, linear_part(omega, *vectors[-2:])])
             twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], len(once), 6)
         return twists
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -101,12 +100,12 @@ def quaternion_parts(angle: Floats, turn: Floats) -> tuple[Floats, Floats]:
     return np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
 
 
-def turn_of(turns: Sequence[Floats]) -> Floats:
-    """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
-    angles = [np.sqrt(np.add.reduce(turn * turn)) for turn in turns]
+def turn_of(turns: Floats) -> Floats:
+    """The rotation vectors ``(3, M)``, up to half a turn, of products of T rotations by ``(T, 3, M)``; unchecked."""
+    angles = np.sqrt(np.add.reduce(turns * turns, axis=1, keepdims=True))
     if len(turns) == 1:
-        return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
-    (real, part), *others = map(quaternion_parts, angles, turns)
+        return np.asarray((1.0 - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)) / np.maximum(angles, 1.0)) * turns)[0]
+    (real, part), *others = zip(*quaternion_parts(angles, turns), strict=True)
     for cosine, sine in others:
         dot = np.add.reduce(part * sine)
         real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)

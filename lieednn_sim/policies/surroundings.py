@@ -67,7 +67,7 @@ class Surroundings:
 
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
-        positions = self._arm.qpos(q)
+        positions = self._arm.to_qpos(q)
         begin = 0 if self._near is not None or only_moving else self._all.first(positions)
         for index, qpos in enumerate(positions[begin:], begin):
             if (found := self._in_the_way(qpos, only_moving)) is not None:
