@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from lieednn_sim import registry
-from lieednn_sim.cli.parser import descriptions, find, parameters
+from lieednn_sim.cli.signatures import descriptions, find, parameters
 from lieednn_sim.entries import LIBRARIES
 from lieednn_sim.studies.comparison.rows import COLUMNS
 
