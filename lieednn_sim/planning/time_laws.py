@@ -1,4 +1,4 @@
-"""Time laws: how fast a motion follows its path; `retiming` finds the fastest within the arm's limits."""
+"""Time laws: how fast a motion follows its path. `retiming` finds the fastest law within the arm's limits."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scipy.interpolate import BSpline, CubicHermiteSpline, PchipInterpolator, ma
 from lieednn_sim.planning.motion import Motion, travelled
 from lieednn_sim.values import Floats
 
-# Fraction of a path's length and its slope, both ``(K,)``, at fractions ``(K,)`` of the duration.
+# Maps fractions ``(K,)`` of the duration to fractions of a path's length and their slopes, both ``(K,)``.
 Law = Callable[[Floats], tuple[Floats, Floats]]
 
 # Acceleration across a path above which a turn is sharp, in units of the path's length over the squared duration. Along
 # the path minimum jerk needs at most 5.8; five of six certified motions of the package's arms stay below.
 _SHARP_TURN = 10.0
-# Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a fraction of the
-# duration: it begins to slow down twice as long before.
+# Half width of the maximum filter and of the average by which a motion slows down around a sharp turn, as a fraction of
+# the duration; it begins to slow down two half widths before the turn.
 _EASING_WIDTH = 0.1
 # Half width of the average over recorded times, as a fraction of their duration.
 _RECORDED_WIDTH = 0.05
@@ -31,25 +31,25 @@ def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
 
 
 def law_of(motion: Motion, units: Floats) -> Law:
-    """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
+    """The law by which a motion follows its path; lengths are those of its states in ``units`` ``(N, 6)``."""
     known = motion.ends(250)
     length = travelled(motion.xi[known] * units)
     return _clipped(make_interp_spline(motion.t[known] / motion.t[-1], length / length[-1], min(5, len(known) - 1)))
 
 
 def law_of_times(t: Floats, fraction: Floats) -> Law:
-    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``."""
+    """The monotonic law from rest to rest through given fractions ``(K,)`` of the length at times ``(K,)``."""
     s = t / t[-1]
     slope = PchipInterpolator(s, fraction).derivative()(s)
     return _clipped(CubicHermiteSpline(s, fraction, np.where((s > 0.0) & (s < 1.0), slope, 0.0)))
 
 
 def recorded_law(t: Floats, fraction: Floats) -> Law:
-    """As `law_of_times`, from recorded times, which are noisy and may begin or end in motion: averaged over time."""
+    """`law_of_times` of a recording, which is noisy and may begin or end in motion, and is averaged over time."""
     width = _RECORDED_WIDTH * (t[-1] - t[0])
     begin, end = np.interp([t[0] + width, t[-1] - width], t, fraction)
     sudden = np.array([begin, 1.0 - end]) > 0.5 * _RECORDED_WIDTH
-    # Before and after the recording the arm rests; it takes longer where that is sudden.
+    # The arm rests before and after the recording; where it begins or ends suddenly, time is added there.
     width *= 1.0 + sudden.any()
     early, late = width * sudden
     s = np.linspace(t[0] - early, t[-1] + late, 401)
@@ -57,18 +57,18 @@ def recorded_law(t: Floats, fraction: Floats) -> Law:
     window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * half + 3)[1:-1])
     smooth = scipy.ndimage.convolve1d(np.interp(s, t, fraction), window / window.sum(), mode="nearest")
     smooth = (smooth - smooth[0]) / (smooth[-1] - smooth[0])
-    # Elsewhere averages still move a little at the ends: to and from rest in one piece.
+    # At the other ends the average still moves a little: the law goes to and from rest there in one piece.
     first, last = np.where(sudden, 1, half)
     kept = np.concatenate([[0], np.arange(first, len(s) - last), [len(s) - 1]])
     return law_of_times((s - s[0])[kept], smooth[kept])
 
 
 def eased_law(motion: Motion, units: Floats) -> Law | None:
-    """A law that slows down where a motion by `minimum_jerk_law` turns sharply; None if it does so nowhere.
+    """A law that slows down where a motion by `minimum_jerk_law` turns sharply; None without sharp turns.
 
-    With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
-    stretched around every instant at which it exceeds a bound, by the square root of their ratio. The path's length has
-    ``units`` ``(n,)`` of the joints.
+    If a law ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. This law stretches
+    time around every instant at which it exceeds a bound, by the square root of their ratio. The path's length is
+    measured with joints in ``units`` ``(n,)``.
     """
     count, duration = len(motion.t), motion.t[-1]
     velocity = motion.qd / units
@@ -79,7 +79,7 @@ def eased_law(motion: Motion, units: Floats) -> Law | None:
         return None
     tangent = velocity / np.maximum(speed, 1e-300)[:, None]
     along = np.einsum("kj,kj->k", acceleration, tangent)
-    # At rest there is no direction to be across.
+    # At rest the path has no direction.
     across = np.where(speed > 0.0, np.linalg.norm(acceleration - along[:, None] * tangent, axis=1), 0.0)
     sharpness = across * duration**2 / (_SHARP_TURN * length)
     if sharpness.max() <= 1.0:

@@ -1,12 +1,13 @@
 """Guarantees of how deviations decay, for one norm each; `robustness` takes the sharpest of many.
 
-There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`: contraction
-of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4; and where that
-is not proved, the certificate's own diagonal P = S^2, about the equilibrium, by U = eps |S e|^2 / 2 + V.
+There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`. One is
+contraction of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4. The
+other, for where contraction is not proved, is about the equilibrium: it uses the certificate's own diagonal P = S^2 and
+the function U = eps |S e|^2 / 2 + V.
 
-Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| = |S e| and |g| = |S f|, where f is
-what phi makes of e, tells when a step h lets U fall. The mean of the four fields of Runge-Kutta 4 differs from the
-first by at most z/2 + z^2/6 + z^3/24 of it, z = h (gamma + mu |S W S^-1|_2).
+The second derivative of U is at most (1 + eps) P. A quadratic form in |y| = |S e| and |g| = |S f|, where f is the
+change of phi that e causes, tells whether U falls in a step h. The mean of the four fields of Runge-Kutta 4 differs
+from the first by at most the fraction z/2 + z^2/6 + z^3/24 of it, with z = h (gamma + mu |S W S^-1|_2).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from lieednn_sim.stability.contraction import Contraction, norm_at, verify_contr
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats, frozen
 
-UP = 1.0 + 1e-9  # rounding of norms of well-conditioned matrices, many times over
+UP = 1.0 + 1e-9  # many times the rounding of norms of well-conditioned matrices
 
 
 @frozen
@@ -52,7 +53,7 @@ class Guarantee:
 def by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
     """Guarantees of contraction with Q = S^2, at rates below the best one."""
     results = []
-    # Fractions of the highest rate that are given up: slower rates allow rounder norms.
+    # A fraction of the highest rate is given up, since slower rates allow rounder norms.
     for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
         factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
         if factor is None:
@@ -86,7 +87,7 @@ def by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> l
     drive = max(mu * spectral_norm(scale(weight, log_scale)) * UP, 1e-6 * gamma)
     for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():  # fractions of the highest rate that are kept
         c = fraction * certificate.rate
-        # Below the largest, so that the quadratic form of the steps is definite.
+        # Below the largest eps, so that the quadratic form of the steps is definite.
         eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
         euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
         root, growth = np.asarray(np.exp(log_scale), np.float64), 1.0 + 1.0 / eps
