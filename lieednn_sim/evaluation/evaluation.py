@@ -227,6 +227,8 @@ class Evaluation:
         rate, force, torque = self.reference_rate, self.peak_weld_force_n, self.peak_weld_torque_n_m
         conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *self.disturbances.conditions]
         lines = [f"conditions: {', '.join(conditions)}"] if conditions else []
+        if late := len(self.disturbances.pushes) - len(self.recoveries):
+            lines.append(f"pushes after the end of the run, which did nothing: {late}")
         extremes = []
         if self.contacts:
             extremes.append(f"contact force up to {rounded(self.peak_contact_force_n)} N")

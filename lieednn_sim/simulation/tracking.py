@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import repeat
@@ -130,10 +131,13 @@ def simulate(
 
     Raises:
         InputError: the motion does not fit the model, or two channels have one name; a push begins when the run is
-            over, which of a sequence is known at its end alone; or the run is to stop outside of a proof, but there is
-            none: of the motion, of sequences, or with obstacles that move.
+            over; or the run is to stop outside of a proof, but there is none: of the motion, of sequences, or with
+            obstacles that move.
         SimulationError: a warning of MuJoCo or a state that is not finite, an event of a sequence does not come in
             time, or the run is to stop; it has the run up to there.
+
+    Warns:
+        UserWarning: events of a sequence came so soon that a push was still to begin when the run was over.
     """
     arm, sequence = as_loaded(arm, motion), motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
@@ -146,7 +150,8 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    changes = before(np.inf if sequence else (total - 1) * arm.timestep, arm.timestep, disturbances)
+    latest = (total - 1) * arm.timestep + (0.0 if sequence is None else sequence.longest_delay)
+    changes = before(latest, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None
@@ -182,8 +187,9 @@ def simulate(
                 error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
     if play is not None:
-        before((len(seen) - 1) * arm.timestep, arm.timestep, changes)
         end, meta["steps"] = play.end, tuple(play.begun)
+        if late := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
+            warnings.warn(late, stacklevel=3)  # through the check of arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-
 import mujoco
 import numpy as np
 import pytest
@@ -123,13 +121,23 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
 
 
-def test_a_push_after_the_end_of_a_sequence_is_refused(planned):
-    short = sequence(*planned[:2], [ls.Actuate(CLOSED, 0.1)])
-    step = short.arm.timestep
-    for start, late in ((0.2 - step, False), (0.2, True)):
+def test_a_push_after_the_end_of_a_sequence_is_refused_before_the_run_or_told_after_it(planned, monkeypatch):
+    def simulated(found, start):
         changes = ls.Disturbances(pushes=(ls.Push("box", (0.0, 0.0, 1.0), start, 1.0),))
-        with pytest.raises(InputError, match=r"begin when the run is over, at 0\.2 s") if late else nullcontext():
-            ls.simulate(short.arm, short, hold=0.1, disturbances=changes)
+        return ls.simulate(found.arm, found, hold=0.1, disturbances=changes)
+
+    timed = sequence(*planned[:2], [ls.Actuate(CLOSED, 0.1)])
+    # An event ends the second one, after about 0.18 s: only 0.1 s after the longest wait is no push possible.
+    event = sequence(*planned[:2], [ls.Actuate(CLOSED, 1.0, until="settled")])
+    simulated(timed, 0.2 - timed.arm.timestep)
+    with pytest.warns(UserWarning, match=r"begin when the run is over, at 0\.\d+ s"):
+        run = simulated(event, 1.1 - timed.arm.timestep)
+    assert run.t[-1] < 0.9
+    assert "pushes after the end of the run, which did nothing: 1" in str(ls.evaluate(run))
+    monkeypatch.setattr("lieednn_sim.simulation.tracking.Log", None)
+    for found, end in ((timed, 0.2), (event, 1.1)):
+        with pytest.raises(InputError, match=rf"begin when the run is over, at {end} s"):
+            simulated(found, end)
 
 
 def test_an_event_that_does_not_come_ends_planning_and_run(planned):
