@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -25,9 +26,9 @@ from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances, before
-from lieednn_sim.simulation.log import ChannelSource, Log
+from lieednn_sim.simulation.log import Channel, ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.simulation.rollout import Rollout
+from lieednn_sim.simulation.rollout import SLIP, Rollout
 from lieednn_sim.simulation.simulation import Simulation, make_plant
 from lieednn_sim.validation import as_nonnegative, as_positive
 from lieednn_sim.values import Floats
@@ -165,7 +166,8 @@ def simulate(
         if not isinstance(motion, Motion) or changes.obstacles:
             raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
         monitor = ClearanceMonitor.of(arm, motion)
-    record, play = Log(simulation, driver, *log), None if sequence is None else _Play(sequence, simulation, rest)
+    play = None if sequence is None else _Play(sequence, simulation, rest)
+    record = Log(simulation, driver, *log, *([] if play is None else play.slips()))
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
@@ -212,13 +214,31 @@ class _Play:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest
         self.begun: list[tuple[float, str]] = []
         self.end = float(sequence.t[-1])
+        self._held, self._place = "", np.zeros(3)
+
+    def slips(self) -> list[Channel]:
+        """How far each body that moves hold is from where they had it in the hand at their beginnings."""
+        steps = [part.step for part in self._sequence.parts]
+        held = dict.fromkeys(step.holding for step in steps if isinstance(step, Move) and step.holding)
+
+        def slip(body: str, data: mujoco.MjData) -> float:
+            return float(np.linalg.norm(self._in_hand(data) - self._place)) if body == self._held else 0.0
+
+        return [Channel(f"{SLIP}{body}", "m", partial(slip, body)) for body in held]
+
+    def _in_hand(self, data: mujoco.MjData) -> Floats:
+        """Where the held body is in the frame of the body that carries it ``(3,)`` [m]."""
+        hand = int(self._sequence.arm.frames.bodies[-1])
+        return np.asarray((data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3))
 
     def rows(self) -> Iterator[int]:
         """The row of the sequence to track in each step; whoever asks for the next one has done the step."""
         sequence, simulation = self._sequence, self._simulation
         for number, part in enumerate(sequence.parts):
             self.begun.append((simulation.time, part.step.name))
+            self._held = part.step.holding or "" if isinstance(part.step, Move) else ""
             if isinstance(part.step, Move):
+                self._place = self._in_hand(simulation.data) if self._held else self._place
                 yield from range(part.first, part.last)
                 continue
             gripping, done = Gripping(sequence.arm, simulation.model, part.step), 0
