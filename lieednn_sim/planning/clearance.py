@@ -211,7 +211,7 @@ def proved_clearance(
     own: bool = True,
     others: bool = False,
 ) -> Clearance:
-    """Bound the distances from contact along a motion, at every instant.
+    """Bound the distances from contact along a motion, at every instant; a held body may touch what it stands on.
 
     Args:
         arm, t, q, qd: as for `check_clearance`.
@@ -220,7 +220,7 @@ def proved_clearance(
         own: whether the arm's own parts, its base included, count against each other.
         others: whether `Clearance.others` is found, for those who read it.
     """
-    bounds, step = bounds_of(arm, own), float(t[1] - t[0])
+    bounds, step = bounds_of(arm.unsupported, own), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
