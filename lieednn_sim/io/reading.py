@@ -1,4 +1,4 @@
-"""Reading of files that may hold anything: what they may take of size, memory and time is bounded here."""
+"""Reading of files that may hold anything, with limits on size, memory and time."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import StrPath
 
-LARGEST_FILE = LARGEST_ARRAYS = 2**30  # bytes of a file, and of the arrays of one once they are unpacked
-LARGEST_TEXT = 1_000_000  # bytes of a JSON or YAML file, and of the text beside arrays
-# Values in a YAML or JSON file, each counted as often as aliases repeat it, and how deep they are nested.
+LARGEST_FILE = LARGEST_ARRAYS = 2**30  # most bytes of a file, and of all arrays in one file after unpacking
+LARGEST_TEXT = 1_000_000  # most bytes of a JSON or YAML file, and of the metadata of arrays
+# Most values in a YAML or JSON file, each counted as often as aliases repeat it, and the deepest nesting.
 _MOST_VALUES, _DEEPEST = 1_000_000, 100
 _MOST_ARRAYS = 1000
 # Versions of the npy format that describe plain arrays of numbers and texts.
@@ -75,14 +75,14 @@ def parse_yaml(content: bytes) -> Any:
 
     depth, loader, too_deep = 0, _loader(), f"it is nested more than {_DEEPEST} deep"
     try:
-        # Before anything is built: the loader recurses, and its compiled form crashes where that is too deep.
+        # Checked before loading: the loader recurses, and its compiled form crashes if the nesting is too deep.
         for event in yaml.parse(content, Loader=loader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST:
                 raise ValueError(too_deep)
         value = yaml.load(content, Loader=loader)
     except yaml.YAMLError as error:
-        # Newer scanners read ahead, and have a limit of their own.
+        # Newer scanners read ahead and have their own limit of depth.
         raise ValueError(too_deep if "nesting depth" in str(error) else " ".join(str(error).split())) from None
     if _count(value, {}) > _MOST_VALUES:
         raise ValueError(f"it holds more than {_MOST_VALUES} values, repeated ones counted as often as they occur")
@@ -94,14 +94,14 @@ def _loader() -> Any:
     import yaml
 
     class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-        """Reads 1e-3 as the number that it is in YAML 1.2, not as a text; refuses what is there twice."""
+        """Reads 1e-3 as a number, as YAML 1.2 does, not as a text; refuses duplicate keys."""
 
         def __init__(self, stream: Any) -> None:
             super().__init__(stream)
             self._seen = set[int]()
 
         def flatten_mapping(self, node: Any) -> None:
-            # At first, before what is merged is among its entries.
+            # Checked on the first call, before merged entries are among the node's own.
             if id(node) not in self._seen:
                 self._seen.add(id(node))
                 names = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
@@ -116,7 +116,7 @@ def _loader() -> Any:
 
 
 def _count(value: Any, known: dict[int, float]) -> float:
-    """Number of values, infinite where one contains itself; ``known`` holds those of lists and mappings by identity."""
+    """Number of values, infinite if one contains itself; ``known`` holds the numbers of lists and mappings by id."""
     if not isinstance(value, list | dict):
         return 1.0
     if id(value) not in known:
@@ -176,7 +176,7 @@ class Archive:
         return list(self._members)
 
     def read(self, name: str, largest: int = LARGEST_ARRAYS) -> NDArray[Any]:
-        """One array of at most ``largest`` bytes; `KeyError` if there is none of this name, `ValueError` as for it."""
+        """One array of at most ``largest`` bytes; `KeyError` if it is missing, `ValueError` if it is invalid."""
         member = self._members[name]
         if member.file_size > largest:
             raise ValueError(f"{name} unpacks to {member.file_size} bytes; at most {largest} are read")
@@ -185,7 +185,7 @@ class Archive:
 
 
 def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
-    """Read an ``.npy`` file of ``size`` bytes; `ValueError` for objects, other versions and false shapes."""
+    """Read an ``.npy`` file of ``size`` bytes; `ValueError` for objects, other versions and wrong shapes."""
     version = np.lib.format.read_magic(stream)
     if version not in _HEADERS:
         raise ValueError(f"arrays of version {version} are not read")
@@ -200,12 +200,12 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def load_arrays(path: StrPath, *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read arrays by name and metadata, with the ``kind``, of a file of `save_arrays`; `FileError` for any other."""
+    """Read arrays by name, and metadata with the ``kind``, from a file of `save_arrays`; `FileError` for any other."""
     source = as_path("path", path)
     with opened(source) as stream:
         try:
             archive = Archive(stream)
-            # NumPy stores four bytes a character.
+            # NumPy stores four bytes per character.
             meta = json.loads(str(archive.read(META_KEY, 4 * LARGEST_TEXT)))
             kind = meta.get("kind") if isinstance(meta, dict) else None
             if kind not in kinds:
@@ -216,7 +216,7 @@ def load_arrays(path: StrPath, *kinds: str) -> tuple[dict[str, NDArray[Any]], di
             return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
         except FileError:
             raise
-        # All that reading a damaged archive raises.
+        # All exceptions that reading a damaged archive may raise.
         except (
             *(OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, RuntimeError),
             *(zipfile.BadZipFile, zlib.error),

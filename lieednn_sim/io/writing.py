@@ -27,8 +27,8 @@ except ImportError:  # on Windows
 else:
     _LOCKS = True
 
-MARK = "lieednn_sim.json"  # the file that says that a folder is ours, and what it holds
-# Between the name of a file and the random end of its temporary name; nobody else's files are called so.
+MARK = "lieednn_sim.json"  # marks a folder as one of this package, and says what it holds
+# Stands between a file's name and the random end of its temporary name; no other program uses it.
 _UNFINISHED = ".unfinished-"
 
 
@@ -58,11 +58,11 @@ def check_outputs(paths: Iterable[Path]) -> None:
 
 @contextlib.contextmanager
 def locked(directory: StrPath, *, shared: bool = False) -> Iterator[None]:
-    """Lock an existing directory against other processes of the package, or only others that do not share the lock.
+    """Lock an existing directory against other processes of the package; a shared lock admits others that share it.
 
-    The lock is on the directory itself (flock); no file is created, and it ends with the process, however that ends.
-    Windows and some network file systems cannot do that: there is no lock, and files are still written atomically.
-    `FileError` if another process is at work there.
+    The lock is on the directory itself (flock): no file is created, and the lock ends with the process in any case.
+    Windows and some network file systems have no such lock; there, files are still written atomically. `FileError` if
+    another process is at work there.
     """
     if not _LOCKS:
         yield
@@ -86,12 +86,12 @@ def locked(directory: StrPath, *, shared: bool = False) -> Iterator[None]:
 def output_folder(directory: StrPath, holds: str, *, shared: bool = False) -> Iterator[Path]:
     """A folder for results, locked while the block runs.
 
-    It must be new, empty, or ours for the same purpose, which its file `MARK` says; in such a folder the block may
-    replace and remove its own files, whatever they hold. What a killed process left half written there is removed. If
-    nothing is in the folder when the block ends, what was created is removed again.
+    The folder must be new, empty, or marked by its file `MARK` as one of this package for the same purpose; in such a
+    folder the block may replace and remove its own files, whatever they hold. Unfinished files of a killed process are
+    removed. If the folder is empty when the block ends, the folders that were created are removed again.
 
-    ``holds`` is what it is for, such as "run". Other shared locks are allowed for a block that replaces nothing that
-    others read. `FileError` if the folder holds anything else, cannot be written, or another process is at work there.
+    ``holds`` is the purpose, such as "run". ``shared`` admits other shared locks, for a block that replaces nothing
+    that others read. `FileError` if the folder holds anything else, cannot be written, or another process uses it.
     """
     folder = as_path("the name of a directory", directory)
     absent = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
@@ -111,7 +111,7 @@ def output_folder(directory: StrPath, holds: str, *, shared: bool = False) -> It
 
 
 def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
-    """Mark a folder as ours, or raise `FileError`; returns whether it was not marked before."""
+    """Mark a folder as one of this package, or raise `FileError`; returns whether it was not marked before."""
     with raising_file_error(f"cannot read {folder}"):
         there = list(folder.iterdir())
     unfinished = [path for path in there if path.name.startswith(".") and _UNFINISHED in path.name]
@@ -133,7 +133,7 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
 
 @contextlib.contextmanager
 def atomic_path(path: StrPath) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, of the same suffix, which replaces it only when the block succeeds.
+    """Yield a temporary path beside ``path``, with its suffix; the file replaces ``path`` if the block succeeds.
 
     `FileError` if the directory is missing, read-only or full.
     """
@@ -147,7 +147,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
 
     When the block succeeds, the outdated files are removed first, then the new ones appear in the given order. So a
     process that is killed in between leaves fewer files, but never old ones beside new ones. The content is on the disk
-    before it gets its name, so that a power failure leaves no file that is empty or cut off.
+    before the file gets its name, so that a power failure leaves no empty or truncated file.
     """
     temporaries: list[Path] = []
     target = targets[0]
@@ -161,7 +161,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
         umask = os.umask(0)
         os.umask(umask)
         for temporary in temporaries:
-            # Before a umask can forbid to open it.
+            # Synced before the new permissions, which may forbid opening the file.
             _sync(temporary)
             temporary.chmod(0o666 & ~umask)
         for target in outdated:
@@ -172,7 +172,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
             _sync(folder)
     except OSError as error:
         said = str(error) if isinstance(error, FileError) else f"cannot write {target}: {error.strerror or error}"
-        # The files that were asked for, in place of their temporary names.
+        # The message names the requested files, not their temporary names.
         for asked, temporary in zip(targets, temporaries, strict=False):
             said = said.replace(temporary.name, asked.name)
         raise FileError(said) from None
@@ -185,7 +185,7 @@ def _sync(path: Path) -> None:
     """Write a file, or the names in a directory, to the disk; Windows and some file systems cannot sync directories."""
     directory = path.is_dir()
     try:
-        # Windows syncs only what is open for writing.
+        # Windows syncs only files that are open for writing.
         handle = os.open(path, os.O_RDONLY if directory else os.O_RDWR)
         try:
             os.fsync(handle)
@@ -203,7 +203,7 @@ def save_text(path: StrPath, text: str) -> None:
 
 
 def save_csv(path: StrPath, rows: Iterable[Iterable[Any]]) -> None:
-    """Write rows, of which the first has the names of the columns, as CSV, atomically; numbers are exact."""
+    """Write rows as CSV, atomically; the first row holds the names of the columns, and numbers are exact."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows(rows)
 

@@ -1,7 +1,7 @@
 """Learning the weights of a LieEDNN so that its equilibrium is a given target.
 
-`train` is the paper's Algorithm 1, as printed, repaired, or with projections that keep the equilibrium; or it moves on
-the manifold of the weights, and can learn a certificate with them. Learning from recorded motions is in
+`train` runs the paper's Algorithm 1, as printed, repaired, or with projections that keep the equilibrium. It can also
+take steps on the manifold of the weights, and learn a certificate along with them. Learning from recorded motions is in
 `lieednn_sim.learning.demonstrations`.
 """
 

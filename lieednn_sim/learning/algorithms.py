@@ -41,9 +41,9 @@ def train(
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target.
 
-    `TrainingOptions` ask for the paper's Algorithm 1 and its variants, which project the weights onto the manifold
-    every few epochs; `RiemannianOptions` for steps on the manifold itself, which may learn a certificate as well.
-    Progress in epochs is reported (`budget.reporting`).
+    `TrainingOptions` select the paper's Algorithm 1 and its variants, which project the weights onto the manifold every
+    few epochs; `RiemannianOptions` select steps on the manifold itself, which can also learn a certificate.
+    Progress is reported in epochs (`budget.reporting`).
 
     A single neuron reaches few targets, since one block rotates omega and v together and keeps the angle between them.
 
@@ -53,7 +53,7 @@ def train(
         bias: ``(N, d)``, or one number for all.
         gamma, mu: decay rate and scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
-        group: another group than SE(3), or `manifold.QuaternionWeights` for quaternions, d = 4; projected only.
+        group: another group than SE(3), or `manifold.QuaternionWeights` for quaternions, d = 4; only `TrainingOptions`.
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
             1-norm 1, as in the paper.
         seed: seed of the initial weights; the same seed gives the same network.
@@ -86,10 +86,10 @@ def train(
 
 
 class ProjectedTraining(Training[TrainingOptions]):
-    """Steps of the weights as they are, projected onto the manifold every few epochs (paper, Algorithm 1)."""
+    """Unconstrained steps of the weights, which are projected onto the manifold every few epochs (Algorithm 1)."""
 
     def initial(self, weight: Floats) -> Iterate:
-        """See `Training`; Algorithm 1 starts off the manifold."""
+        """See `Training`; Algorithm 1 does not start on the manifold."""
         options, n = self.options, len(self.problem.target)
         alpha = np.full((n, n), 1.0 / (3.0 * n))
         kind = "block-wise" if options.projection == "none" else options.projection
@@ -142,8 +142,8 @@ class ProjectedTraining(Training[TrainingOptions]):
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
         """The equilibrium near ``x``, to a small fraction of its distance from the target.
 
-        Where Newton's method fails and the training would end, the network is run, as Algorithm 1 does in every epoch:
-        it often still settles.
+        Where Newton's method fails and the training would end, the network is integrated, as Algorithm 1 does in every
+        epoch: it often still settles.
         """
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
@@ -169,7 +169,7 @@ class ProjectedTraining(Training[TrainingOptions]):
             rate = min(max(rate * factor, options.min_rate), options.max_rate)
         self.record(self.epoch, now, rate)
         self.epoch += 1
-        # The length is at most sqrt(n) times the largest coordinate, so this is computed only when it may hold.
+        # The length is at most sqrt(n) times the largest coordinate, so the test is computed only where it may pass.
         arrived = error < options.tolerance * math.sqrt(delta.size) and self.arrived(now)
         weight, alpha, nearby = now.weight, now.alpha, None
         if error > 0.0:

@@ -25,7 +25,7 @@ _SMALLEST_ALPHA = 1e-9  # least |alpha| in W/alpha: a block without strength has
 class WeightPoint:
     """Weights on the manifold: strengths ``(N, N)``, L[Ad(theta_ij)] ``(N, N, d, d)``, and theta.
 
-    The elements theta are arguments of the network's constructor.
+    ``elements`` holds theta as arguments of the network's constructor.
     """
 
     alpha: Floats
@@ -80,7 +80,7 @@ class GroupWeights:
         if kind != "scaled":
             alpha = guarded(alpha)
             return self.point(alpha, {"theta": self._nearest(blocks, alpha, start)})
-        # Started from its own strengths, a point on the manifold is its own projection. The nearer of both signs wins.
+        # Starting from its own strengths, a point on the manifold is its own projection. The nearer of both signs wins.
         size = near.alpha if near is not None else np.linalg.norm(blocks, axis=(-2, -1)) / np.sqrt(self.dimension)
         points = [self._alternate(blocks, guarded(sign * size), start) for sign in (1.0, -1.0)]
         far = [np.linalg.norm(blocks - p.alpha[:, :, None, None] * p.adjoints, axis=(-2, -1)) for p in points]

@@ -22,9 +22,8 @@ class LearningOptions:
         max_rate: the largest rate.
         grow: factor of the rate after a good step.
         shrink: factor after a bad one.
-        max_jump: largest change of a coordinate of the equilibrium from one step to the next that is followed
-            [rad, m].
-        tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
+        max_jump: largest change of a coordinate of the equilibrium in one step that is accepted [rad, m].
+        tolerance: tau, the bound on the largest coordinate of xi* - xi_d [rad, m].
         restarts: how many new initial weights to draw after starts that are given up.
         max_start_epochs: largest number of epochs of a start.
         stability_interval: epochs between checks of the equilibrium's stability, which take as long as some epochs; the
@@ -68,11 +67,11 @@ class LearningOptions:
 
 @dataclass(frozen=True)
 class TrainingOptions(LearningOptions):
-    """Projective learning, besides `LearningOptions`. The defaults are the paper's Algorithm 1, repaired.
+    """Options of projective learning, beside `LearningOptions`; the defaults are the paper's Algorithm 1, repaired.
 
     Attributes:
         loss: ``"squared"``, E^2/2, or ``"norm"``, the printed E; the Gauss-Newton direction is the same for both.
-        equilibrium: ``"newton"``, damped Newton steps from the last one, or ``"rk45"``, running the network.
+        equilibrium: ``"newton"``, damped Newton steps from the last one, or ``"rk45"``, integrating the network.
         projection: ``"block-wise"`` (paper, App. F), ``"exact"`` (Frobenius-nearest), ``"scaled"`` (alpha and block
             together, alpha of either sign), or ``"none"`` (ablation).
         period: epochs between projections.
@@ -80,7 +79,7 @@ class TrainingOptions(LearningOptions):
         step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
             one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
             more than ``max_jump``.
-        max_epochs: largest number of epochs over all starts; the last one is limited by it alone.
+        max_epochs: largest number of epochs over all starts; the last start is limited by it alone.
         verified_stop: test the tolerance with the weights after step and projection; the printed algorithm tests
             before.
     """
@@ -124,7 +123,7 @@ class TrainingOptions(LearningOptions):
 
     @classmethod
     def literal(cls, **changes: Any) -> TrainingOptions:
-        """Algorithm 1 as printed: RK45 equilibrium, E itself, alpha fixed, tested before the last step."""
+        """Algorithm 1 as printed: RK45 equilibrium, loss E, fixed alpha, stop test before the last step."""
         return cls(**{"loss": "norm", "equilibrium": "rk45", "learn_alpha": False, "verified_stop": False, **changes})
 
     @classmethod
@@ -139,7 +138,7 @@ class TrainingOptions(LearningOptions):
 
 @dataclass(frozen=True)
 class RiemannianOptions(LearningOptions):
-    """Learning on the manifold, besides `LearningOptions`.
+    """Options of learning on the manifold, beside `LearningOptions`.
 
     A step is rejected, and the rate shrinks, where the equilibrium is lost, jumps or is unstable; with the gradient,
     also where E does not fall. A rate of 1 is the full Gauss-Newton step.
@@ -154,7 +153,7 @@ class RiemannianOptions(LearningOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_fields(self, lambda _, flag: bool(flag), "certified")
-        largest = 1.0 if self.direction == "gauss-newton" else 1e6  # gradient steps could overflow beyond theirs
+        largest = 1.0 if self.direction == "gauss-newton" else 1e6  # larger gradient steps could overflow
         if self.max_rate > largest:
             raise InputError(f"max_rate must be at most {largest:g} for {self.direction}, got {self.max_rate:g}")
         if self.certified and self.direction != "gauss-newton":

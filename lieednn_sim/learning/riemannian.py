@@ -3,7 +3,7 @@
 A step has the coordinates (d_alpha, omega, d_t) at block (i, j), shape ``(N, N, 7)``. It is taken by the retraction of
 the product R x SO(3) x R^3, alpha + d_alpha, Exp(hat(omega)) R and t + d_t, not by the exponential of SE(3). The metric
 is Euclidean in these coordinates, so a Riemannian gradient is the list of plain derivatives in them. Row i of W y,
-y = phi(x), depends on the blocks (i, j) only: equations on W y are N systems with 6 rows, 7N unknowns.
+y = phi(x), depends on the blocks (i, j) only: equations on W y are N systems of 6 rows in 7N unknowns.
 
 With delta = xi* - xi_d, S = I - (mu/gamma) W diag(phi'(xi*)) and B the derivative of W y in the coordinates, a step p
 of the weights moves the equilibrium by S^-1 (mu/gamma) B p to first order. Hence two methods:
@@ -14,7 +14,7 @@ of the weights moves the equilibrium by S^-1 (mu/gamma) B p to first order. Henc
 The second leaves 7 N^2 - 6 N directions along which the equilibrium does not move to first order. Certified training
 uses them: it learns log S_P of a Lyapunov diagonal P = S_P^2 along with the weights, and whenever the smoothed largest
 eigenvalue of (mu/gamma) sym(S_P W_R S_P^-1) nears 1, log S_P and the neutral part of the weights descend its gradient.
-Below 1 the network has only one equilibrium, globally stable, which can neither be lost nor jump.
+While it is below 1, the network has a single equilibrium, globally stable, which can neither be lost nor jump.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def differential(point: WeightPoint, output: Floats) -> Floats:
 
         (u, v) d_alpha - alpha_ij [[hat(u), 0], [hat(v) + hat(u) hat(t), hat(u)]] (omega, d_t):
 
-    turning R while t stays is to move theta from the left by the twist (omega, t x omega), shifting t by (0, d_t).
+    turning R at fixed t moves theta from the left by the twist (omega, t x omega); shifting t, by the twist (0, d_t).
     """
     n = len(point.alpha)
     images = np.einsum("ijab,jb->ija", point.adjoints, output.reshape(n, 6))
@@ -80,9 +80,9 @@ def smoothed_eigenvalue(
 ) -> tuple[float, Floats, Floats]:
     """Log-sum-exp bound on the largest eigenvalue of sym(M), M = (mu/gamma) S W_R S^-1, and its gradients.
 
-    These are the Riemannian one ``(N, N, 7)`` and that in log S ``(3N,)``. With G the gradient in W_R, that in block
-    (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R> + omega . 2 vee(alpha G R^T); it does not depend on
-    translations.
+    The gradients are the Riemannian one ``(N, N, 7)`` and the one in log S ``(3N,)``. With G the gradient in W_R, the
+    derivative along a step of block (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R> +
+    omega . 2 vee(alpha G R^T); it does not depend on translations.
     """
     scaled = ratio * scale(rotational_weight(point), log_scale)
     value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
@@ -142,7 +142,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         return not self.options.certified or (network is not None and network.certified)
 
     def advance(self, before: Iterate, end: int) -> tuple[Iterate, StopReason | None]:
-        """One step, or none where it is rejected."""
+        """One step, or none if it is rejected."""
         options = self.options
         due = self.epoch - self._checked_at >= options.stability_interval
         proofs = (self._learned_certificate, self._certificate)[: 1 + due]
@@ -168,7 +168,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         return before._replace(rate=rate), StopReason.STEP_VANISHED if rate < options.min_rate else None
 
     def _moved(self, before: Iterate, step: Floats, log_scale: Floats, nearby: SensitivityMatrix) -> Iterate:
-        """The iterate a step away, with the equilibrium near that of before."""
+        """The iterate one step away, with the equilibrium that is found from the one before."""
         point = retract(before.point, step)
         weight = point.weight
         equilibrium = self.solver.newton(weight, before.equilibrium.x, nearby)
@@ -185,7 +185,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         return not self.arrived(trial) or self.stable(trial)
 
     def _gradient_step(self, now: Iterate, nearby: SensitivityMatrix) -> tuple[Iterate, float]:
-        """The trial against the gradient, and how much E^2/2 must fall."""
+        """The trial step against the gradient, and by how much E^2/2 must fall."""
         delta = now.equilibrium.x - self.goal
         gradient = loss_gradient(differential(now.point, now.equilibrium.output), nearby, delta, self.ratio)
         trial = self._moved(now, -now.rate * gradient, now.log_scale, nearby)
@@ -207,7 +207,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                # Less where the slope is small, so that the weights come to rest at a minimum.
+                # The step is shorter where the slope is small, so that the weights come to rest at a minimum.
                 length = min(0.3 * (value - _BARRIER), 0.1) / max(slope, 0.3)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)

@@ -99,7 +99,7 @@ def gauss_newton_direction(matrix: Floats, output: Floats, delta: Floats, ratio:
 
 
 class FlatEquilibrium(NamedTuple):
-    """A state x ``(n,)`` where gamma x = mu (W phi(x) + b), or a failed attempt to find one; phi(x) and phi'(x)."""
+    """A state x ``(n,)`` where gamma x = mu (W phi(x) + b), or a failed attempt to find one; with phi(x), phi'(x)."""
 
     x: Floats
     output: Floats
@@ -155,14 +155,14 @@ class EquilibriumSolver:
     ) -> FlatEquilibrium:
         """At most ``steps`` Newton steps, none of them longer than 1 in a coordinate.
 
-        The first ones use S at nearby weights and state, if given. The tolerance is on the length of
+        The first steps use ``nearby``, S at nearby weights and state, if given. The tolerance is on the length of
         x - (mu/gamma) (W phi(x) + b).
         """
         chord_steps = 4  # steps with the matrix of the previous epoch, which is almost right and already factored
         for step in range(steps + 1):
             output = self._phi(x)
             residual = x - self.ratio * weight.dot(output) - self._drive
-            # `dot`, since `@` and reductions have more overhead than all the rest for so few numbers.
+            # `dot`, since for so few numbers the overhead of `@` and reductions exceeds all other work.
             length = math.sqrt(residual.dot(residual))
             if not length >= tolerance or step == steps:
                 break
@@ -191,7 +191,7 @@ class EquilibriumSolver:
         if not rest.success:
             return rest
         polished = self.newton(weight, rest.x, tolerance=tolerance)
-        # Further away Newton steps have found another equilibrium.
+        # If the result is further away, Newton's method has found another equilibrium.
         near = polished.success and np.abs(polished.x - rest.x).max() < 1e-2
         return polished if near else rest
 

@@ -1,4 +1,4 @@
-"""A training: its problem, the loop of all algorithms, one start after the other until one arrives, and its outcome."""
+"""A training: its problem, its result, and the loop of all algorithms, which tries starts until one succeeds."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class Training(ABC, Generic[_Options]):
         self.problem, self.options = problem, options
         self.manifold, self.goal, self.ratio = problem.manifold, problem.target.ravel(), problem.ratio
         self.solver = EquilibriumSolver(problem.bias, problem.ratio, problem.activation)
-        self.rows: list[tuple[float, float, float, float, Floats]] = []  # of the history of a start
+        self.rows: list[tuple[float, float, float, float, Floats]] = []  # rows of the present start's history
         self.epoch = 0  # epochs done, over all starts
 
     @abstractmethod
@@ -184,21 +184,21 @@ class Training(ABC, Generic[_Options]):
 
     @abstractmethod
     def advance(self, before: Iterate, end: int) -> tuple[Iterate, StopReason | None]:
-        """The next iterate, and why the start ends there, or None; at the epoch ``end`` it should.
+        """The next iterate, and the reason if the start ends there, or None; it must end at the epoch ``end``.
 
-        Rows of the history are those of the iterate and of those that led to it.
+        The history must then hold the rows of this iterate and of those that led to it, and no others.
         """
 
     @abstractmethod
     def network(self, last: Iterate) -> Network | None:
-        """The network of the last iterate; None where its weights are off the manifold."""
+        """The network of the last iterate; None where its weights are not on the manifold."""
 
     def accepts(self, network: Network | None) -> bool:
         """Whether a network with the target as its stable equilibrium is what was asked for."""
         return True
 
     def run(self, first: Floats | None) -> TrainingResult:
-        """Train until a start arrives or none is left; ``first`` are weights for the first one, random by default."""
+        """Train until a start succeeds or none is left; ``first`` are the first start's weights, random by default."""
         started, options = cpu_time(), self.options
         for start in range(options.restarts + 1):
             weight = first if first is not None and start == 0 else self.problem.initial_weight(start)
@@ -221,7 +221,7 @@ class Training(ABC, Generic[_Options]):
 
     def record(self, epoch: int, now: Iterate, rate: float) -> None:
         """Append a row to the history: the iterate at the beginning of an epoch, whose learning rate is ``rate``."""
-        # LAPACK's norms of the transpose, which is in its memory order, in a third of the time of NumPy's reductions.
+        # LAPACK's norms, of the transpose for its memory order, take a third of the time of NumPy's reductions.
         transposed = now.weight.T
         self.rows.append((epoch, rate, dlange("I", transposed), dlange("1", transposed), now.equilibrium.x))
 
@@ -238,7 +238,7 @@ class Training(ABC, Generic[_Options]):
         return bool(np.abs(now.equilibrium.x - self.goal).max() < self.options.tolerance)
 
     def stable(self, now: Iterate) -> bool:
-        """Whether the equilibrium is."""
+        """Whether the equilibrium is stable."""
         return self.solver.sensitivity(now.weight, now.equilibrium).stable()
 
     def _checked(self, last: Iterate, reason: StopReason, starts: int) -> TrainingResult:

@@ -22,7 +22,7 @@ class Column:
     meaning: str  # in one line
     of_motion: bool = False  # whether it belongs to the plan, so that it is the same for every controller
     timed: bool = False  # whether it is a time that was measured, which differs between runs
-    # Its place in the page's table, from the left, after those of the same place before it; 0 for in its files only.
+    # Place in the page's table, from the left; columns of one place stand in order of declaration. 0: in files only.
     shown: int = 0
 
 
@@ -105,7 +105,7 @@ class Group(Generic[R]):
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    # Slow to import, and asked for at the end of a study.
+    # Imported here since it is slow, and needed only at the end of a study.
     from scipy.stats import binomtest
 
     interval = binomtest(successes, total).proportion_ci(method="wilson")

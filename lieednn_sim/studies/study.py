@@ -31,14 +31,14 @@ _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds 
 
 
 class Study(ABC, Generic[R]):
-    """Base class of studies: it says which cases there are, how the rows of one are computed, and what all rows share.
+    """Base class of studies: defines the cases, how the rows of a case are computed, and the settings of all rows.
 
     Attributes:
         name: name of the table's file without suffix.
         kind: class of the rows.
         run: the function that computes the rows of a case from its arguments in `todo`. It runs in another process, so
-            it must be defined at the top of a module. Where a case fails, its rows carry the reason; an exception
-            counts as a bug.
+            it must be defined at the top of a module. If a case fails, its rows carry the reason; an exception counts
+            as a bug.
         failed: the function that makes the rows of a case that raised, from its arguments in `todo` and the reason.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
@@ -64,7 +64,7 @@ class Study(ABC, Generic[R]):
 
 
 def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Console | None = None) -> Table[R]:
-    """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
+    """Compute the rows that the table of a directory lacks; finished cases are kept when interrupted.
 
     Progress in cases is reported (`budget.reporting`).
 
@@ -147,7 +147,7 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
         try:
-            with reporting(lambda *_: None):  # of its own progress
+            with reporting(lambda *_: None):  # the task's own progress is not shown
                 ended: _Outcome = task, run(*task), None
         except Exception as error:
             ended = task, None, error
@@ -163,7 +163,7 @@ def _on_workers(
         running = {pool.submit(run, *task): task for task in itertools.islice(waiting, ahead)}
         while running:
             ended = wait(running, return_when=FIRST_COMPLETED).done
-            # What is finished counts before a worker that died.
+            # Finished tasks are yielded before the error of a worker that died.
             for future in sorted(ended, key=lambda future: isinstance(future.exception(), BrokenExecutor)):
                 task, error = running.pop(future), future.exception()
                 if isinstance(error, BrokenExecutor) or not isinstance(error, Exception | None):
@@ -179,14 +179,14 @@ def _on_workers(
 
 
 def _added() -> tuple[list[str], list[tuple[int, str]]]:
-    """Modules of what users added, which workers must import, and names as ``file.py:thing`` by kinds' indices."""
+    """Modules of users' entries, which workers must import; and entries called ``file.py:thing``, by kinds' indices."""
     entries = [entry for kind in _OF_USERS for entry in kind.entries.values()]
     modules = sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
     return modules, [(k, name) for k, kind in enumerate(_OF_USERS) for name in kind.entries if ":" in name]
 
 
 def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) -> None:
-    # Rows report what is missing then.
+    # Errors are ignored here: the rows report what is missing.
     for name in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(name)

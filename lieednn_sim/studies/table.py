@@ -67,13 +67,13 @@ class Table(Generic[R]):
     def begin(
         cls, path: StrPath, kind: type[R], settings: Mapping[str, Any], user_files: Iterable[UserFile] = ()
     ) -> Self:
-        """The table in a file, which is made if it is missing, to add rows.
+        """Open the table in a file to add rows; the file is made if it is missing.
 
         Args:
             path: the file, in an existing directory.
             kind: class of the rows.
             settings: settings of all rows, as JSON can hold them.
-            user_files: arms and scenes of the user in the rows to come; recorded with those of earlier ones.
+            user_files: arms and scenes of the user in the new rows; recorded beside those of earlier rows.
 
         Raises:
             FileError: the file has rows of other settings, versions, arms or scenes, or is no such table.
@@ -86,7 +86,7 @@ class Table(Generic[R]):
         except (TypeError, ValueError) as error:
             raise InputError(f"settings must hold what JSON can: {error}") from None
         with _connected(file, "rwc") as base:
-            # Of several processes that begin, one makes the tables.
+            # Locked, so that only one of several processes makes the tables.
             base.execute("BEGIN IMMEDIATE")
             if base.execute("SELECT 1 FROM sqlite_schema").fetchone() is None:
                 for statement in _statements(kind).values():
@@ -100,7 +100,7 @@ class Table(Generic[R]):
 
     @property
     def rows(self) -> dict[tuple[Any, ...], R]:
-        """All rows by their keys, in the order of these."""
+        """All rows by their keys, in the order of the keys."""
         if self._rows is None:
             given = [entry.name for entry in fields(self._kind) if entry.init]
             columns, key = (", ".join(map(_quoted, names)) for names in (given, self._kind._key))
@@ -111,7 +111,7 @@ class Table(Generic[R]):
         return self._rows
 
     def add(self, rows: Sequence[R]) -> None:
-        """Add rows, or put them in the place of those with the same keys, all at once or none."""
+        """Add rows, replacing those with the same keys; either all of them are added, or none."""
         names = [entry.name for entry in fields(self._kind)]
         self._rows = None
         insert = f"INSERT OR REPLACE INTO rows VALUES ({', '.join('?' * len(names))})"
@@ -119,11 +119,11 @@ class Table(Generic[R]):
             base.executemany(insert, ([getattr(row, name) for name in names] for row in rows))
 
     def merge(self, other: Table[R]) -> None:
-        """Add the rows of another table, but for those whose keys are here.
+        """Add the rows of another table, except those whose keys are in this table.
 
         Raises:
-            FileError: it has other settings, versions, arms or scenes, or a row that differs from the one here in more
-                than measured times; no row is added then.
+            FileError: the other table has other settings, versions, arms or scenes, or a row that differs from the one
+                here in more than measured times; no row is added.
         """
         if self.path.samefile(other.path):
             return
@@ -146,7 +146,7 @@ class Table(Generic[R]):
             base.execute("INSERT OR IGNORE INTO rows SELECT * FROM part.rows")
 
     def write_csv(self, path: StrPath) -> None:
-        """Write all rows as a CSV file, in the order of their keys, below the names of the columns."""
+        """Write a CSV file: the names of the columns, then all rows in the order of their keys."""
         names = [entry.name for entry in fields(self._kind)]
         io.save_csv(path, chain([names], ([getattr(row, name) for name in names] for row in self.rows.values())))
 
@@ -157,7 +157,7 @@ class Table(Generic[R]):
             raise FileError(f"{self.path} was made with {'; '.join(differ)}; choose another --output, or remove it")
 
     def _record(self, user_files: Iterable[UserFile], commits: Iterable[str]) -> None:
-        """Add to the record of the user's files and of commits; `FileError` if another file has the name of one."""
+        """Record files of the user and commits; `FileError` if a recorded file has the same name but other content."""
         known = {file[:2]: file for file in self.user_files}
         for file in user_files:
             old = known.get(file[:2], file)
@@ -191,7 +191,7 @@ def _statements(kind: type[TableRow]) -> dict[str, str]:
 
 
 def _quoted(name: str) -> str:
-    """A name that may be a word of SQL."""
+    """Quote a name, since it may be a keyword of SQL."""
     return f'"{name}"'
 
 
@@ -202,9 +202,9 @@ def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
         raise FileError(f"no such file: {path}")
     address = f"{path.resolve().as_uri()}?mode={mode}"
     try:
-        # Others that write are waited for up to a minute.
+        # Waits up to a minute for other processes that write.
         with contextlib.closing(sqlite3.connect(address, uri=True, timeout=60.0)) as base, base:
-            # Of a file that anyone may have made.
+            # Anyone may have made the file, so it is not trusted.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
             base.execute("PRAGMA trusted_schema = OFF")
             yield base

@@ -21,9 +21,9 @@ class UserFile(NamedTuple):
     """An arm or a scene from a file."""
 
     kind: str  #: `ARM` or `SCENE`
-    name: str  #: in tables
+    name: str  #: name in tables
     source: str  #: its file, as `Arm.load` takes it, with an absolute path
-    fingerprint: str  #: of the arm or obstacles, which must be that of rows made earlier
+    fingerprint: str  #: fingerprint of the arm or obstacles; must equal that of rows made earlier
 
 
 UserFiles = tuple[UserFile, ...]
@@ -37,10 +37,10 @@ def bare_arm(source: str) -> Arm:
 
 
 def resolve(kind: str, values: Sequence[StrPath], known: Sequence[str]) -> tuple[list[str], list[UserFile]]:
-    """The names under which arms or scenes appear in tables, and those of them that come from files.
+    """The names of arms or scenes in tables, and the `UserFile` of each one that comes from a file.
 
-    Values are names, ``known`` in the package, or files as `Arm.load` takes them. `FileError` if one is missing or
-    cannot be read, `InputError` if it holds no arm or scene, or its name is taken or not allowed.
+    Each value is one of the ``known`` names of the package, or a file as `Arm.load` takes it. `FileError` if a file is
+    missing or cannot be read, `InputError` if it holds no arm or scene, or its name is taken or not allowed.
     """
     names: list[str] = []
     user_files: list[UserFile] = []

@@ -1,7 +1,7 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
-In the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that acts on the translations is complex, and left
-quaternion, multiplication: see `networks`.
+In the adjoint of ``affine(C^x)`` the block that acts on the translations is complex multiplication, and in that of
+``affine(H^x)`` left quaternion multiplication: see `networks`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LARGEST_DIMENSION = 128  # the same for affine groups of affine groups
 
 
 def group(name: str) -> MatrixLieGroup:
-    """The group called ``name``: of `GROUPS`, "GL(n)" with n up to 8, or "affine(...)" of one; else `InputError`."""
+    """The group of a name: one of `GROUPS`, "GL(n)" with n up to 8, or "affine(...)" of these; else `InputError`."""
     if isinstance(name, str):
         if name in GROUPS:
             return GROUPS[name]()
@@ -41,7 +41,7 @@ def group(name: str) -> MatrixLieGroup:
 
 
 def catalogue_name(item: MatrixLieGroup) -> str:
-    """Name by which `group` gives the same group again, for files; `InputError` for a group of the user's own."""
+    """The name for files, for which `group` returns the same group; `InputError` for a group of the user's own."""
     try:
         known = group(item.name)
     except InputError:

@@ -103,7 +103,7 @@ class MatrixLieGroup:
         """Matrices L[Ad_g], ``(..., d, d)``, of g ``(..., m, m)``: column k holds the coordinates of g E_k g^-1.
 
         Raises:
-            InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
+            InputError: g is singular or out of range, or g E_k g^-1 leaves the Lie algebra, so g is not in the group.
         """
         array = self._matrices("g", g)
         with np.errstate(all="ignore"):  # overflow is reported by `as_finite`, and below
@@ -127,7 +127,7 @@ class MatrixLieGroup:
     def contains(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
         """Whether g ``(..., m, m)`` are in the group, up to about ``tolerance`` in each entry.
 
-        Without a closed form only what is necessary is checked, up to 1e-8: that g E_k g^-1 is in the algebra.
+        Without a closed form only a necessary condition is checked, up to 1e-8: that g E_k g^-1 is in the algebra.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
         with np.errstate(all="ignore"):  # overflow and division by zero compare as outside
@@ -147,14 +147,14 @@ class MatrixLieGroup:
     def project_to_adjoint(self, theta: ArrayLike, start: ArrayLike | None = None) -> Matrices:
         """Elements g ``(..., m, m)`` whose adjoint matrix is Frobenius-nearest to theta ``(..., d, d)``.
 
-        g is fixed up to the kernel only. Without a closed form a damped Newton search on the group, with
+        g is unique only up to the kernel. Without a closed form a damped Newton search on the group, with
         Ad(g exp(x)) = Ad(g) exp(ad x), runs from the identity and a few random elements (always the same ones) and
-        returns the best: a local minimum, not always the nearest of all. In a group that is not compact, theta far from
-        its image may have no nearest element; the search then stops on its way to infinity.
+        returns the best result: a local minimum, not always the global one. In a group that is not compact, theta far
+        from the image of Ad may have no nearest element; the search then stops on its way to infinity.
 
         Args:
             theta: matrices to project.
-            start: elements ``(..., m, m)`` that are known to be near: the search runs from these alone, much faster.
+            start: elements ``(..., m, m)`` known to be near: the search runs from these alone, which is much faster.
         """
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
         if self.projection is not None:
@@ -220,18 +220,18 @@ class MatrixLieGroup:
 def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
     """A checked copy, complex where ``value`` is."""
     try:
-        array = np.empty(0) if isinstance(value, range) else np.asarray(value)  # a long range would be written out
+        array = np.empty(0) if isinstance(value, range) else np.asarray(value)  # a long range would fill the memory
         is_complex = np.iscomplexobj(array)
     except (TypeError, ValueError):
         is_complex = False
     if not is_complex:
-        # `as_floats` also reports what is not an array of numbers at all.
+        # `as_floats` also reports values that are no arrays of numbers.
         return as_floats(name, value, shape, batched=batched).copy()
     real, imaginary = (as_floats(name, part, shape, batched=batched) for part in (array.real, array.imag))
     return real + 1j * imaginary
 
 
 def _real_parts(matrix: Matrices) -> Floats:
-    """``(..., m, m)`` to real vectors, the imaginary parts behind the real ones."""
+    """Matrices ``(..., m, m)`` as real vectors: first the real parts, then the imaginary parts."""
     flat = matrix.reshape(*matrix.shape[:-2], -1)
     return np.concatenate([flat.real, flat.imag], axis=-1) if np.iscomplexobj(flat) else flat

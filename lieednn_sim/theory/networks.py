@@ -1,11 +1,12 @@
 """Networks beyond the printed one on SE(3): on any matrix Lie group, and with an equivariant activation.
 
-Complex and quaternion-valued networks are among those on groups (paper, Sec. 3.2 and App. D): on affine(C^x) or
-affine(H^x), whose translations transform by v -> A v with theta = (A, 0) and A the matrix of p -> w p. They are an
-invariant subspace when the other coordinates and their bias are 0. Of w_ij these see alpha_ij alone, the translations
-alpha_ij |theta_ij|: we choose alpha_ij = |w_ij| / s and theta_ij = s w_ij / |w_ij| with s so large that the others
-decay at rate gamma/2 at least. (With alpha_ij = 1 they would grow from rounding for N > gamma/mu.) So the network has
-a certificate exactly when the complex or quaternion network has one.
+Complex and quaternion-valued networks are networks on the groups affine(C^x) and affine(H^x) (paper, Sec. 3.2 and
+App. D), whose translations transform by v -> A v with theta = (A, 0) and A the matrix of p -> w p. The translations are
+an invariant subspace when the other coordinates and their bias are 0. The weight w_ij acts on the other coordinates by
+alpha_ij alone, and on the translations by alpha_ij |theta_ij|: we choose alpha_ij = |w_ij| / s and
+theta_ij = s w_ij / |w_ij| with s so large that the other coordinates decay at least at rate gamma/2. (With
+alpha_ij = 1 they would grow from rounding errors for N > gamma/mu.) So the network has a certificate exactly when the
+complex or quaternion network has one.
 
 An activation may commute with the adjoint action (paper, App. N): Phi(X) = tanh(||omega||)/||omega|| X scales the whole
 twist X = (omega, v), and is X at omega = 0. `docs/mathematics/groups.md` proves stability with it, by a P that is
@@ -155,8 +156,8 @@ def _network(
         raise InputError("weights must have N >= 1 rows and columns, got none")
     rates = as_rates(gamma, mu)
     modulus = np.linalg.norm(given, axis=-1)
-    # s, a power of two so that it rounds nothing: the blocks of the other coordinates are orthogonal times alpha, so
-    # their matrix is bounded by ||alpha||_2.
+    # s is a power of two, which causes no rounding. The blocks of the other coordinates are orthogonal times alpha, so
+    # the norm of their matrix is at most ||alpha||_2.
     needed = 2.0 * rates["mu"] / rates["gamma"] * float(np.linalg.norm(modulus, 2))
     scale = 2.0 ** np.ceil(np.log2(max(needed, 1.0)))
     theta = np.broadcast_to(np.eye(size + 1), (n, n, size + 1, size + 1)).copy()

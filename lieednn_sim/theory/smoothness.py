@@ -1,6 +1,6 @@
 """The paper's bounds on velocity, acceleration and curvature of a network's trajectory (App. H).
 
-All hold while |xi|_inf <= R: for all time for R = max(|xi(0)|_inf, (mu/gamma) (||W||_inf M + |b|_inf)).
+All of them hold while |xi|_inf <= R, which is for all time if R = max(|xi(0)|_inf, (mu/gamma) (||W||_inf M + |b|_inf)).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class SmoothnessBounds:
     Attributes:
         velocity: on |xi'|_inf: gamma R + mu ||W||_inf M + mu |b|_inf.
         acceleration: on |xi''|_inf, and on each component's curvature, since (1 + xi_i'^2)^(3/2) is at least 1:
-            (gamma + mu L ||W||_inf) times that.
+            (gamma + mu L ||W||_inf) times the bound on the velocity.
         closing: the paper's closing bound gamma (1 + L) (gamma R + gamma M + mu |b|_inf), which for tanh is
             2 gamma (gamma R + gamma + mu b_max). Valid only when ||W||_inf < gamma/mu, None otherwise.
     """
@@ -79,7 +79,7 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    # Velocities may be larger than elsewhere, since they only divide.
+    # Larger velocities are allowed than elsewhere, since the formula only divides by them.
     first = as_floats("xi_dot", xi_dot, (), batched=True, largest=1e300)
     second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.

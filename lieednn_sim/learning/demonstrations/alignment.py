@@ -36,7 +36,7 @@ class Demonstrations:
         twists: ``(n, K, 6)`` [rad, m].
         dof: degrees of freedom that were recorded: 2, 3 or 6.
         lever: metres that a radian counts for, in lengths and distances.
-        goals_kept: whether each ends at its own goal.
+        goals_kept: whether demonstrations keep their own goals.
 
     Raises:
         InputError: an entry is not finite, times do not increase, or shapes do not fit.
@@ -129,7 +129,7 @@ def align(
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
     for item in demonstrations:
         seen = item.twists_from(at_goal) if kept else item.twists
-        # As far apart as the poses, but for large turns, of which they are the chords.
+        # Points that are as far apart as the poses; only large turns become chords.
         points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
         reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
         twists.append(reached)
@@ -162,9 +162,9 @@ def at_phases(
 ) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at fractions ``(K,)`` of its length or of its duration.
 
-    The phase is a name of `PHASES`, the fractions increase from 0 to 1. The samples are ``(L, D)`` at times ``(L,)``,
-    the points ``(L, M)`` with about their distances from each other; the lengths ``(n - 1,)`` are those of the steps
-    between n samples with given indices.
+    The phase is a name of `PHASES`; the fractions increase from 0 to 1. ``samples`` are ``(L, D)`` at times ``(L,)``,
+    and ``points`` ``(L, M)`` have about the same distances from each other. ``lengths`` gives the lengths ``(n - 1,)``
+    of the steps between the n samples with given indices.
     """
     passed = t
     if phase == "length":
@@ -176,24 +176,24 @@ def at_phases(
 
 
 def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
-    """Indices of the samples ``(L, M)`` by which a path has moved on further than its noise, and their times.
+    """Indices of the points ``(L, M)`` that are further from the last one taken than the noise, and their times.
 
-    Otherwise the noise of sensors would make a way of every pause. A pause belongs to what follows it; that at the end
-    is left out.
+    With all points, the noise of sensors would add length in every pause. The time of a pause counts to the motion
+    after it; a pause at the end is left out.
     """
     extent = np.ptp(points, axis=0).max()
     least = 1e-12 * extent
-    # Third differences of white noise have 20 times its variance, those of a smooth path are next to nothing.
+    # Third differences of white noise have 20 times its variance, those of a smooth path are nearly zero.
     third = [entry[entry > least] for entry in np.abs(np.diff(points, n=3, axis=0)).T]
     noise = [np.median(entry) / (0.6745 * np.sqrt(20.0)) if len(entry) else 0.0 for entry in third]
-    # Two samples at rest are further apart about once in ten thousand times, whatever the number of columns.
+    # Two samples at rest are further apart than this about once in ten thousand times, for any number of columns.
     radius = np.clip(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), least, 0.02 * extent)
     kept = [0]
     for k, point in enumerate(points):
         if np.linalg.norm(point - points[kept[-1]]) > radius:
             kept.append(k)
     left = np.linalg.norm(points[kept] - points[-1], axis=1)
-    # One of a pause at the end is enough.
+    # One sample of a pause at the end is enough.
     kept = kept[: max(2, int(np.flatnonzero(left > radius)[-1]) + 2)]
     times = t[kept]
     if left[len(kept) - 1] > least:
@@ -250,8 +250,8 @@ def warp(path: ArrayLike, other: ArrayLike) -> Warp:
     n, m, backwards = len(first), len(second), second[::-1]
     if not n or not m or first.shape[1] != second.shape[1]:
         raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")
-    # Antidiagonals (i, k - i) in turn, each of which depends on the two before it alone. At index i + 1, the first row
-    # holds the least sums, the second the least maximal distances.
+    # Antidiagonals (i, k - i) in turn: each depends only on the two before it. At index i + 1, the first row holds the
+    # least sums, the second row the least maximal distances.
     older, last = np.full((2, 2, n + 1), np.inf)
     older[:, 0] = 0.0
     came = np.zeros((n + m - 1, n), dtype=np.int8)

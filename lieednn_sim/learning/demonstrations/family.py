@@ -1,14 +1,14 @@
-"""Families of motions: how demonstrations depend on their start, and a network whose motion depends on it likewise.
+"""Families of motions: how demonstrations depend on their start, and a network whose motion depends on it as they do.
 
 At equal phases s, demonstration k is x_k(s) = mean(s) + (1 - s) dx_k + B(s) dx_k + noise, with dx_k the deviation
 of its start from the mean. B is found by ridge regression, and the ridge by leaving each demonstration out once; with
-an infinite one, deviations fade as 1 - s. If demonstrations keep goals of their own, dg_k from the mean goal, s dg_k is
-added, and B(s) is a function of (dx_k, dg_k).
+an infinite ridge, deviations fade as 1 - s. If demonstrations keep their own goals, dg_k from the mean goal, s dg_k is
+added, and B(s) acts on (dx_k, dg_k).
 
-Motions differ though their start is the same by their codes (`synthesis.shaping.cascade`), normally distributed: with
-the deviation c of a code, the visible state at network time tau is that of the family plus b(tau) c, where the row
-b(tau) holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions
-through a via point are those whose codes are conditioned on it.
+Motions from the same start differ by their codes (`synthesis.shaping.cascade`), which are normally distributed: if a
+code deviates by c, the visible state at network time tau is that of the family plus b(tau) c, where the row b(tau)
+holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions through a via
+point are those whose codes are conditioned on it.
 """
 
 from __future__ import annotations
@@ -36,20 +36,19 @@ class Response:
 
     gain: Floats  # (K, D, E) derivatives of the path at equal steps of the phase in start and goal
     ridges: tuple[float, float]  # the smallest and the largest of `RIDGES` that were averaged
-    # (n, K, D) what is left of each path, over the square root of 1 less its leverage: as large as if it had not been
-    # fitted to.
+    # (n, K, D) residuals of the paths, over the square root of 1 - leverage: as large as if the path was not fitted.
     residuals: Floats
-    # (E, E) A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by the doubt about
-    # the gain. It is the inverse of the regression's normal matrix, with the least of the ridges, or the largest finite
-    # one; zero if starts are the same.
+    # (E, E) A: if the start (and goal) deviates by u from the mean, the uncertainty of the gain adds u^T A u times the
+    # residuals' covariance. A is the inverse of the regression's normal matrix, with the smallest averaged ridge, or if
+    # that is infinite with the largest finite one; zero if all starts are the same.
     growth: Floats
 
 
 def response_to_start(paths: Floats, goals: bool = False) -> Response:
     """Regress paths ``(n, K, D)``, with coordinates in one unit, on their starts, or on their starts and ``goals``.
 
-    Ridges are averaged from that with the least left-out error to the largest one allowed by `one_standard_error`: with
-    few demonstrations either of the two alone changes much from one set of them to the next.
+    The fit is averaged over the ridges from the one with the least left-out error to the largest one that
+    `one_standard_error` allows: with few demonstrations, each of these two alone varies much from set to set.
     """
     n, count, size = paths.shape
     away = paths - paths.mean(axis=0)
@@ -58,7 +57,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     if goals:
         fading = np.concatenate([fading, np.eye(size) - fading], axis=2)
         start = np.concatenate([start, away[:, -1]], axis=1)
-    # Of n starts about their mean, n - 1 directions at most; rounding leaves others.
+    # n starts have at most n - 1 directions about their mean; others come from rounding.
     left, spread, right = np.linalg.svd(start, full_matrices=False)
     kept = spread > 1e-9 * max(float(np.abs(paths).max()), 1e-300)
     left, spread, right = left[:, kept], spread[kept], right[kept]
@@ -66,7 +65,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     total = max(float(np.sum(spread**2)), 1e-300)
     shrinking = spread**2 / (spread**2 + RIDGES[:, None] * total)
     first, last = len(RIDGES) - 1, len(RIDGES) - 1
-    if n > 2 and kept.any():  # without one of two, what is left says nothing about starts
+    if n > 2 and kept.any():  # if one of two is left out, the other says nothing about starts
         errors = np.empty((len(RIDGES), n))
         for row, factor in enumerate(shrinking):
             hat = left * factor @ left.T
@@ -77,7 +76,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     factor = shrinking[first : last + 1].mean(axis=0)
     fitted = (left.T @ rest).reshape(-1, count, size) * (factor / spread)[:, None, None]
     hat = left * factor @ left.T
-    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)  # of one path nothing is left, and its leverage is 1
+    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)  # a single path has no residual and leverage 1
     residuals = ((rest - hat @ rest) / np.sqrt(free)[:, None]).reshape(paths.shape)
     growth = np.zeros((start.shape[1],) * 2)
     if kept.any():
@@ -87,10 +86,10 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
 
 
 def one_standard_error(errors: Floats) -> tuple[int, int]:
-    """The row with the least mean error of ``(R, n)``, and the last that exceeds it by at most a standard error.
+    """The row of ``(R, n)`` with the least mean error, and the last row that exceeds it by at most a standard error.
 
-    That of the mean of differences, demonstration by demonstration (Breiman et al., Classification and Regression
-    Trees, 1984, 3.4.3).
+    It is the standard error of the mean of the differences in each demonstration (Breiman et al., Classification and
+    Regression Trees, 1984, 3.4.3).
     """
     best = int(errors.mean(axis=1).argmin())
     excess = errors - errors[best]
@@ -101,11 +100,11 @@ def one_standard_error(errors: Floats) -> tuple[int, int]:
 def with_response(
     shaping: Shaping, curve: Floats, paths: Floats, units: Floats, goals: bool = False
 ) -> tuple[LieEDNN, Response, Floats]:
-    """The network shaped by the mean of demonstrations with rho = 1, made to depend on its start as they do.
+    """The network shaped by the mean of demonstrations with rho = 1, changed to depend on its start as they do.
 
-    Then the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals. The mean is the
-    curve ``(K, N, 6)``, the demonstrations the paths ``(n, K, N, 6)`` at the same phases, the units ``(N, 6)`` metres
-    for a unit of each coordinate. With ``goals``, which differ then, the motion depends on its goal, too.
+    Also the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals. ``curve`` is the
+    mean ``(K, N, 6)``, ``paths`` are the demonstrations ``(n, K, N, 6)`` at the same phases, and ``units`` the metres
+    ``(N, 6)`` for a unit of each coordinate. With ``goals``, which must differ, the motion also depends on its goal.
     """
     units = np.broadcast_to(units, curve.shape[1:])
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
@@ -128,7 +127,7 @@ def with_response(
 
 
 def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
-    """Phases ``(T,)`` of the mean ``(K, N, 6)`` at which the network's states ``(T, N, 6)`` are beside it."""
+    """Phases ``(T,)`` of the points of the mean ``(K, N, 6)`` beside the network's states ``(T, N, 6)``."""
     # Equal phases of the demonstrations are not equal fractions of their mean's length.
     steps = (np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2)) for some in (curve, states))
     passed, covered = (np.append(0.0, np.cumsum(lengths)) for lengths in steps)
@@ -137,7 +136,7 @@ def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
 
 
 def describe(response: Response | None) -> str:
-    """What a network makes of its start, in words."""
+    """How a network's motion depends on its start, in words."""
     if response is None:
         return "deviations of the start fade as e^-t"
     low, high = (f"{ridge:.3g}" for ridge in response.ridges)
@@ -148,11 +147,11 @@ def describe(response: Response | None) -> str:
 
 @frozen
 class CodeSpread:
-    """Normal distribution of the codes of one visible neuron's motions about those that their start gives.
+    """Normal distribution of the codes of one visible neuron's motions, about the codes that their start implies.
 
-    At u from the mean start (and the mean goal, if there are several), in metres, the covariance is
-    (1 + 1/n + u^T A u) F F^T: noise, and the doubt about the mean and about the response (as in a Bayesian linear
-    regression, whose prior is the ridge).
+    For a start (and goal, if there are several) that deviates by u from the mean, in metres, the covariance is
+    (1 + 1/n + u^T A u) F F^T: from noise, and from the uncertainty of the mean and of the response (as in a Bayesian
+    linear regression, whose prior is the ridge).
     """
 
     root: Floats  # (6M, r) F, for the codes D delta (M, 6) of M pairs, flat [rad, m]
@@ -165,11 +164,11 @@ class CodeSpread:
     def of(cls, codes: Floats, growth: Floats, units: Floats, least: Floats, activation: str) -> CodeSpread:
         """The distribution of codes ``(n, M, 6)`` with mean zero, standardised residuals (`Response.residuals`).
 
-        ``least`` ``(6,)`` are standard deviations of the displacement [rad, m] that are allowed for in any direction,
-        also where demonstrations do not differ.
+        ``least`` ``(6,)`` are standard deviations of the displacement [rad, m] that are added in every direction, also
+        where demonstrations do not differ.
         """
         places = np.arange(PAIRS) / PAIRS
-        # The deviations that are allowed for beside those seen are correlated over a fifth of the clock's way.
+        # The added deviations are correlated over a fifth of the clock's range.
         smooth = np.exp(-0.5 * ((places[:, None] - places) / 0.2) ** 2)
         basis = bumps(clockwork(1.0, ACTIVATIONS[activation]))[:-1]
         size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
@@ -193,16 +192,16 @@ class CodeSpread:
         return root @ root.swapaxes(1, 2)
 
     def gain(self, seen: Floats, noise: Floats) -> Floats:
-        """Codes ``(6M, o)`` for a deviation of a motion from the mean start that is observed with the noise ``(o,)``.
+        """Gain ``(6M, o)`` from o observed coordinates of a motion from the mean start to its codes.
 
-        What is seen has the derivatives ``(o, 6M)`` in the codes.
+        ``seen`` ``(o, 6M)`` are their derivatives in the codes, ``noise`` ``(o,)`` their standard deviations.
         """
         root = seen @ self.root
         doubt = root @ root.T + np.diag(noise**2) / self.scale(np.zeros(len(self.growth)))
         return np.asarray(np.linalg.solve(doubt, root @ self.root.T).T)
 
     def knowing(self, seen: Floats, noise: Floats) -> CodeSpread:
-        """The distribution about the conditioned codes, given the observation as for `gain`."""
+        """The distribution conditioned on an observation; arguments are as for `gain`."""
         gain = self.gain(seen, noise)
         left = gain * noise / np.sqrt(self.scale(np.zeros(len(self.growth))))
         return replace(self, root=np.concatenate([self.root - gain @ (seen @ self.root), left], axis=1))

@@ -36,8 +36,8 @@ class LearnedMotion:
         t: ``(K,)`` times of the demonstrations' phases [s].
         tau: ``(K,)`` network times at these phases.
         dof: 2, 3 or 6.
-        goal: world pose at which they end, their mean.
-        start: ``(6,)`` twist relative to it at which they begin, their mean.
+        goal: mean world pose at which the demonstrations end.
+        start: ``(6,)`` mean twist relative to the goal at which they begin.
     """
 
     network: LieEDNN
@@ -54,7 +54,7 @@ class LearnedMotion:
 
     @classmethod
     def load(cls, directory: StrPath) -> LearnedMotion:
-        """Read a directory of `lieednn-sim learn`, without a spread; `FileError` if it holds no such motion."""
+        """Read a directory that `lieednn-sim learn` wrote, but no spread; `FileError` if it holds no such motion."""
         path = as_path("the directory of a learned motion", directory) / "report.json"
         if not io.is_file(path):
             raise FileError(f"{path.parent} holds no learned motion (no report.json), as 'lieednn-sim learn' writes")
@@ -75,8 +75,8 @@ class LearnedMotion:
         """World poses ``(K,)`` of the motion at the times `t`.
 
         Args:
-            start: world pose of the frame at the start, by default that of the demonstrations; of its rotation nothing
-                is used where none was recorded.
+            start: world pose of the frame at the start, by default that of the demonstrations; its rotation is ignored
+                if no rotations were recorded.
             goal: world pose at the end, by default that of the demonstrations.
         """
         for name, pose in (("start", start), ("goal", goal)):
@@ -100,7 +100,7 @@ class LearnedMotion:
     def toward(self, goal: Floats) -> Self:
         """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
 
-        If demonstrations kept their goals, it is as they would go there; else the motion shifted, see
+        If the demonstrations kept their goals, it depends on the goal as they do; otherwise the motion is shifted, see
         `LieEDNN.retarget`.
         """
         target = displacement(as_floats("goal", goal, (6,)))

@@ -1,4 +1,4 @@
-"""The protocol of models of demonstrations, two dynamical systems that are such models, and their integration.
+"""The protocol of models of demonstrations, two dynamical systems that follow it, and their integration.
 
 The simplest is linear. The other has local linear laws with a common quadratic Lyapunov function, like SEDS and LPV-DS:
 x' = sum_k gamma_k(x) A_k x, with gamma_k the posterior of a Gaussian mixture fitted to the positions, and
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-import scipy  # whose cluster is loaded when it is used
+import scipy  # its `cluster` is loaded when it is used
 from scipy.optimize import least_squares
 
 from lieednn_sim.budget import check_time, one_blas_thread
@@ -63,8 +63,8 @@ def run_field(
 ) -> Floats:
     """States ``(n, K, d)`` of x' = field(x) at times ``(K,)``, from states ``(n, d)`` at the first time of a grid.
 
-    The classical Runge-Kutta method on the grid ``(G,)``, with linear interpolation. Of each state only the first
-    ``kept`` coordinates are returned, by default all.
+    The classical Runge-Kutta method on the grid ``(G,)``, with linear interpolation. Only the first ``kept``
+    coordinates of each state are returned, by default all.
     """
     state = start
     states = [state[:, :kept]]

@@ -124,7 +124,7 @@ def responses(forces: Floats, step: float) -> Floats:
     """
     stiffness, damping = step**2 * ALPHA * BETA, step * ALPHA
     recursion = [1.0, stiffness + damping - 2.0, 1.0 - damping]
-    # In full: `scipy.signal` takes as long to import as all of `planning`, and few processes need it.
+    # `scipy.signal` is loaded on this use: its import takes as long as that of all of `planning`, and few need it.
     return np.asarray(scipy.signal.lfilter([0.0, step**2], recursion, forces, axis=0))
 
 
@@ -176,6 +176,6 @@ class ProbabilisticPrimitive:
 def _gaussians(n_basis: int, phases: Floats) -> Floats:
     """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
     squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
-    # Before they are normalised, they are 0.7 at 1/(2B) from their centres, about half way to the next.
+    # Before normalisation they are 0.7 at 1/(2B) from their centres, about half way to the next.
     psi = np.exp(4.0 * n_basis**2 * np.log(0.7) * squared)
     return psi / psi.sum(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""One demonstration, the poses of a frame at increasing times, and reading files of some (`tables`).
+"""A demonstration, which is the poses of a frame at increasing times, and the reading of files (`tables`).
 
 A demonstration is a table with a row for each sample and the columns x, y or x, y, z, or x, y, z and a unit quaternion;
 an array with three axes holds several demonstrations of the same length.
@@ -24,7 +24,7 @@ from lieednn_sim.values import Floats, StrPath, frozen
 QUATERNIONS = ("wxyz", "xyzw")
 _COUNTS = (2, 3, 7)
 _WORDS = "2, 3 or 7 columns: x y, x y z, or these and a quaternion; or 4 or 8, the time and x y z or a pose"
-_LARGEST = 1e9  # of a sample, in any unit
+_LARGEST = 1e9  # largest entry of a sample, in any unit
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
@@ -73,11 +73,11 @@ class Demonstration:
         rate: float = 100.0,
         source: str = "a demonstration",
     ) -> Demonstration:
-        """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
+        """Make a demonstration from rows x, y; x, y, z; or x, y, z and a quaternion.
 
         Args:
-            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or the times and the latter, ``(K, 4)`` or ``(K, 8)``; at
-                least two rows; quaternions are normalised if within 10 %.
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or ``(K, 4)`` or ``(K, 8)`` with times in the first column;
+                at least two rows; quaternions whose norm is within 10 % of 1 are normalised.
             t: ``(K,)`` increasing times [s], or None.
             length: length unit of the positions [m].
             quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
@@ -121,8 +121,8 @@ class Demonstration:
         """Twists ``(K, 6)`` [rad, m]: logarithms of the poses relative to the last one, along the world's axes.
 
         xi = log (R R_K^T, p - p_K), so the goal is zero. Where the frame turns by more than pi from its goal, the
-        rotation vector continues instead of jumping to the other side: going backwards from the goal, of all vectors of
-        a rotation, which differ by full turns about its axis, the one nearest to the following sample is taken.
+        rotation vector continues instead of jumping to the other side: the vectors of a rotation differ by full turns
+        about its axis, and, going backwards from the goal, the one nearest to the following sample is taken.
 
         Raises:
             InputError: the frame turns by nearly a full turn or more, where the logarithm is singular.

@@ -25,7 +25,7 @@ from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_n
 from lieednn_sim.values import Floats, frozen
 
 DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
-_NETWORK_TIME = 16.0  # times rho, after which less than a millionth of the path is left
+_NETWORK_TIME = 16.0  # network time, times rho, after which less than a millionth of the path is left
 
 
 @frozen
@@ -36,7 +36,7 @@ class ShapedMotion(LearnedMotion):
         shaping: the search that found the network of their mean.
         response: how the motion depends on its start, realised by the hidden neurons' start; None if it does not.
         spread: the distribution of the demonstrations' codes; None without a response, or with one demonstration.
-        cpu_time: of the fit [s].
+        cpu_time: CPU time of the fit [s].
     """
 
     shaping: Shaping
@@ -90,15 +90,15 @@ class ShapedMotion(LearnedMotion):
     @property
     def n_parameters(self) -> int:
         """The number of parameters of the mean motion's switches that are not zero by construction."""
-        # Of each its position, its slope, and a vector.
+        # Each switch has a position, a slope, and a vector.
         switches = self.shaping.network.n_hidden - self.shaping.network.n_clock
         return (4 if self.dof == 2 else 5) * switches
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
         """Predictive covariance ``(..., K, 6, 6)`` [rad, m] of the motion about `reproduce`, in rotation and position.
 
-        It is the covariance of what the response does not explain of the demonstrations, and is larger the further the
-        start is from theirs: see `CodeSpread`. It is zero at the start and at the goal.
+        It is the covariance of the part of the demonstrations that the response does not explain, and grows with the
+        distance of the start from theirs: see `CodeSpread`. It is zero at the start and at the goal.
 
         Args:
             start: twists ``(..., 6)``.
@@ -118,17 +118,17 @@ class ShapedMotion(LearnedMotion):
         """
         (spread, *_), rng = self._family(), as_generator("seed", seed)
         root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root
-        with one_blas_thread():  # and one by one: sums of BLAS depend on its threads, and on the number of rows
+        with one_blas_thread():  # and one by one: BLAS's sums depend on its threads and the number of rows
             drawn = np.matvec(root, rng.normal(size=(as_count("count", count), root.shape[1])))
         return tuple(self._coded(code) for code in drawn)
 
     def condition(self, via: ArrayLike, *, fraction: float, noise: float = 0.0) -> ShapedMotion:
-        """The motion that passes a via point, with the most likely code; as a probabilistic primitive is conditioned.
+        """The motion through a via point with the most likely code, as a probabilistic primitive is conditioned.
 
-        The change of the code c is the least in the metric of its covariance C: it minimises c^T C^-1 c + |miss|^2 /
-        noise^2. The motion passes the same point from other starts, and to another of several goals, as far as bumps
-        are linear in their codes. It is the same network with another start of its hidden neurons: certificate and goal
-        stay, and the spread is smaller, the most at the via point.
+        The change c of the code minimises c^T C^-1 c + |miss|^2 / noise^2, where C is the covariance of the codes. From
+        other starts, and to other goals if goals were kept, the motion passes the same point, as far as bumps are
+        linear in their codes. It is the same network with another start of its hidden neurons: certificate and goal
+        stay, and the spread shrinks, most of all at the via point.
 
         Args:
             via: position ``(3,)`` relative to the goal [m], or twist ``(6,)`` where poses were recorded.
@@ -152,7 +152,7 @@ class ShapedMotion(LearnedMotion):
         noises = miss / spread.units[seen]
         gain = spread.gain(passing, noises)
         code = np.zeros(len(gain))
-        # Far from the demonstrations bumps are not linear in their codes.
+        # Iterated, since far from the demonstrations bumps are not linear in their codes.
         for _ in range(50):
             passed = self._coded(code)._run(reference, tau)[0, -1, seen]
             change = gain @ (place - passed + passing @ code) - code
@@ -162,7 +162,7 @@ class ShapedMotion(LearnedMotion):
         else:
             away = np.linalg.norm((place - passed) * spread.units[seen])
             raise InputError(f"no code leads to the via point: the motion ends up {away:.3g} m from it")
-        # From other starts as well: how the place depends on them is taken back, and how it moves with start and goal.
+        # For other starts and goals as well: the gains are changed so that the place does not move with these.
         laws = []
         for law, left in ((start_gain, np.exp(-tau[1])), (self.network.goal_gain, 1.0)):
             if law is not None:
@@ -191,7 +191,7 @@ class ShapedMotion(LearnedMotion):
         if np.shape(via) == (6,) and self.dof == 6:
             return displacement(as_floats("via", via, (6,))), slice(0, 6)
         place = as_floats("via", via, (3,))
-        # Motions in a plane leave it by what their fit leaves.
+        # Motions in a plane leave it by the error of their fit.
         if self.dof == 2 and abs(place[2]) > 1e-2 * np.abs(place[:2]).max():
             raise InputError(f"via must be in the demonstrations' plane, with a third entry of 0, got {place[2]:g}")
         return place[: min(self.dof, 3)], slice(3, 3 + min(self.dof, 3))

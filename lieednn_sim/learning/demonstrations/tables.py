@@ -1,4 +1,4 @@
-"""Tables of recordings in files: the samples, by the names of their columns where they have names, and their times."""
+"""Tables of recordings in files: their samples, chosen by the names of columns if there are any, and their times."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Layout:
 def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and their times ``(K,)`` from 0 [s], which may be the first column of a table without names.
 
-    `InputError` if the table is not as the layout says, or its times are none.
+    `InputError` if the table does not fit the layout, or its times do not increase.
     """
     table = as_floats(source, samples, ("K", "D"))
     count, columns = table.shape
@@ -182,7 +182,7 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
 
 
 def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> NDArray[Any] | None:
-    """The times among what is no sample, by lower-case names, in the layout's unit; None if there are none."""
+    """The times among the other columns, by lower-case names, in the layout's unit; None if there are none."""
     found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
     if len(found) > 1:
         raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")
@@ -190,7 +190,7 @@ def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> ND
         return others[name] * (TIME_UNITS.get(unit[:2], 1.0) / TIME_UNITS[layout.time_unit] if unit else 1)
     for name, values in others.items():
         even = values.ndim == 1 and not uneven_row(values) and (np.diff(values) != 1.0).any()
-        if even or _LIKE_A_TIME.search(name):  # steps of 1 number the rows
+        if even or _LIKE_A_TIME.search(name):  # a column with steps of 1 numbers the rows
             raise InputError(
                 f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_ms, "
                 "or leave it out"

@@ -33,8 +33,8 @@ class Row(TableRow):
         seed: seed of target, obstacles and planner.
         mass_scale: true masses relative to those that the controller knows.
         success: whether the rollout arrived without contact.
-        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact", "arrival", or
-            "error" for a bug or a worker that died repeatedly.
+        reason: why the rollout failed; begins with the step that failed: "problem", "plan", "simulation", "contact",
+            "arrival", or "error" for a bug or a worker that died repeatedly.
         stability: proven stability of the network: "global", "local" or "none"; "-" without a network, "" without a
             motion.
         stability_level: the condition that proves it.
@@ -135,7 +135,7 @@ class Row(TableRow):
         """The case of the row."""
         return Case(self.arm, self.scene, self.planner, self.seed)
 
-    # It is planned once for all controllers.
+    # A case is planned once for all controllers.
     motion = case
 
     @property
@@ -146,5 +146,5 @@ class Row(TableRow):
 
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
-# Those of the page's table, in their order there.
+# Columns of the page's table, in its order.
 SHOWN = sorted((entry for entry in COLUMNS if entry.shown), key=attrgetter("shown"))

@@ -98,7 +98,7 @@ def shown(value: float | None, column: str = "_mm") -> str:
 
 @dataclass(frozen=True)
 class Failure:
-    """Failures at one step whose reasons differ in names and numbers alone, in the pattern replaced by an ellipsis."""
+    """Failures at one step whose reasons differ only in names and numbers, which are ellipses in the pattern."""
 
     step: str
     pattern: str
@@ -134,7 +134,7 @@ def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
 
 
 def failures(rows: Iterable[Row]) -> list[Failure]:
-    """Failures grouped by similar reasons, the most frequent first; a plan's counts once for all controllers."""
+    """Failures grouped by similar reasons, the most frequent first; a failed plan counts once for all controllers."""
     failed = [row for row in rows if row.reason]
     once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
     result: dict[str, list[Row]] = {}

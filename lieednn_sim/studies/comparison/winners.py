@@ -1,4 +1,4 @@
-"""Who wins what in which scene: the planners that are best in one respect, on problems that all of them solved."""
+"""The winners of each scene: the planners that are best in one respect, on problems that all good planners solved."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lieednn_sim.studies.comparison.rows import Row
 from lieednn_sim.studies.comparison.summary import in_order, seeds_by_planner
 from lieednn_sim.studies.rows import Group, grouped, motions
 
-#: Questions, with the column that answers each and whether more is better; arrival is asked first.
+#: Questions, with the column that answers each, and whether larger is better; the first one is answered by arrival.
 QUESTIONS = {
     "arrives": ("", True),
     "is planned soonest": ("planning_s", False),
@@ -20,7 +20,7 @@ QUESTIONS = {
     "keeps clear, proved": ("proved_clearance_mm", True),
     "withstands pushes, proved": ("tube_mm", True),
 }
-# Planners that arrive nearly as often as the best are compared further; medians that differ by less are ties.
+# Planners that arrive at least this fraction as often as the best are compared further; medians this close are ties.
 _NEARLY, _TIE = 0.95, 0.02
 
 
@@ -33,10 +33,10 @@ class Win(NamedTuple):
 
 
 def winners(rows: Sequence[Row], controller: str) -> dict[str, dict[str, Win | None]]:
-    """The winners of each scene, by question; None where nothing is proved of any planner's motions.
+    """The winners of each scene, by question; None where no planner has a value, for example no proved clearance.
 
-    Planners with less than half of the seeds are left out. Those that arrive at nearly as many targets as the best are
-    compared by their medians over the problems that all of these solved; the value of arrival is a share.
+    Planners with less than half of the seeds are left out. Planners that arrive at nearly as many targets as the best
+    one are compared by their medians over the problems that all of them solved. The value of arrival is a fraction.
     """
     seeds = seeds_by_planner(rows)
     enough = [name for name in seeds if 2 * seeds[name] >= max(seeds.values())]

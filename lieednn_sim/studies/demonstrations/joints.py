@@ -1,4 +1,4 @@
-"""Evaluation of a joint-space network shaped by demonstrations: errors at the effector and in joints, other starts."""
+"""Evaluation of a network of joints shaped by demonstrations: errors at the effector and of joints, other starts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class JointErrors:
 
 @dataclass(frozen=True)
 class JointStudy:
-    """A network of joints against its demonstrations, as in `ModelRow`, and how many of random starts arrived."""
+    """Errors of a network of joints against its demonstrations, as in `ModelRow`; and how many random starts arrive."""
 
     mean: JointErrors
     training: JointErrors
@@ -49,10 +49,10 @@ def study_joints(
     leave_one_out: bool = True,
     seed: int = 0,
 ) -> tuple[JointStudy, list[Floats]]:
-    """Measure a network shaped by demonstrations, also from random configurations free of contact (`draw_target`).
+    """Measure a network shaped by demonstrations, also from random contact-free configurations (`draw_target`).
 
-    Those left out are compared with networks that are shaped without them, with as many hidden neurons. Returns
-    the study, and the joints' paths ``(K, n)`` from the starts that arrive.
+    Each left-out demonstration is compared with a network that is shaped without it, with as many hidden neurons.
+    Returns the study, and the joints' paths ``(K, n)`` from the starts that arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
     folds = n if leave_one_out and n > 1 else 0
@@ -82,7 +82,7 @@ def study_joints(
 
 
 def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Floats) -> JointMotion:
-    """The motion to the goal ``(n,)`` of a demonstration, if demonstrations keep their goals; else to the one goal."""
+    """The motion to a demonstration's goal ``(n,)`` if demonstrations keep their goals; else to the common goal."""
     return model.toward(goal) if demonstrations.goals_kept else model
 
 

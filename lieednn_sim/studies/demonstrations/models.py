@@ -106,7 +106,7 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: Seed = 0) ->
 def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Floats) -> Attraction:
     """Run a model from start twists ``(n, 6)``; in distances a radian counts as the demonstrations' ``lever`` [m]."""
     t = demonstrations.duration * np.array([0.0, 9.0, 10.0])
-    # As many at once as memory allows.
+    # In batches, to limit the memory.
     batches = [starts[k : k + 500] for k in range(0, len(starts), 500)]
     before, ends = (
         np.concatenate([displacement(model.reproduce(batch, t)[:, 1:]) for batch in batches])
@@ -118,7 +118,7 @@ def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Float
     spurious = 0
     while len(resting):
         spurious += 1
-        # Points of rest within a twentieth of the extent are one attractor.
+        # Points of rest within a twentieth of the extent count as one attractor.
         resting = resting[np.linalg.norm(resting - resting[0], axis=1) > 5e-2]
     return Attraction(len(starts), int(arrived.sum()), spurious)
 
@@ -128,11 +128,11 @@ class ModelRow:
     """One model of one set of demonstrations."""
 
     model: str
-    n_parameters: int  #: that are fitted
+    n_parameters: int  #: number of fitted parameters
     fit_s: float  #: CPU time of the fit [s]
-    mean: PathErrors  #: against the mean demonstration, from its start
-    training: PathErrors  #: against each demonstration, from its start, on average
-    #: The same for models fitted without that demonstration; None with a single one, or if not requested.
+    mean: PathErrors  #: errors against the mean demonstration, from its start
+    training: PathErrors  #: errors against each demonstration, from its start, on average
+    #: As ``training``, by models fitted without that demonstration; None for a single one, or if not requested.
     left_out: PathErrors | None
     attraction: Attraction  #: where random starts ended
 
@@ -140,7 +140,7 @@ class ModelRow:
 def reproduction(
     model: MotionModel, demonstrations: Demonstrations, start: Floats, goal: Floats | None = None
 ) -> Floats:
-    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over; to a ``goal`` if they are kept."""
+    """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion ends; to ``goal`` if goals are kept."""
     if isinstance(model, ShapedMotion) and demonstrations.goals_kept and goal is not None:
         model = model.toward(goal)
     return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, 600))
@@ -162,8 +162,8 @@ def compare_models(
 
     Args:
         rivals: names of `RIVALS`; by default all.
-        aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
-            same seen from either.
+        aligned: if goals are kept, the same demonstrations with aligned goals, since rivals know only one goal; errors
+            do not depend on the alignment.
         starts, seed: number and seed of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
     """
@@ -193,7 +193,7 @@ def compare_models(
 
 
 def _fit(shaped: ShapedMotion, name: str, demonstrations: Demonstrations) -> MotionModel:
-    """A model with about as many parameters as a shaped network, and of its kind if it is one."""
+    """The named model, with about as many parameters as the shaped network; or another shaped network."""
     if name == ShapedMotion.name:
         options, family = shaped.shaping.options, shaped.response is not None
         return ShapedMotion.fit(demonstrations, options=options, family=family)
@@ -214,7 +214,7 @@ def family_deviation(shaped: ShapedMotion, demonstrations: Demonstrations) -> fl
 
 
 def mean_of(items: Sequence[Any]) -> Any:
-    """The mean of every number of dataclasses alike, also of those within dataclasses and tuples."""
+    """The mean of each number over dataclasses of one type, also of numbers in nested dataclasses and tuples."""
     first = items[0]
     if isinstance(first, tuple):
         return tuple(map(mean_of, zip(*items, strict=True)))

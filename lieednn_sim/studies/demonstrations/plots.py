@@ -90,8 +90,8 @@ def plot_joint_paths(
 ) -> None:
     """Plot each joint over the fraction of the path; all joint positions are ``(K, n)``.
 
-    The reproduction is from the start of the mean, the fan from the demonstrations' own starts; of the paths from
-    elsewhere the first few are shown.
+    ``reproduction`` starts where the mean does, and each path of ``fan`` where its demonstration does; of the paths
+    ``elsewhere``, from other starts, the first few are shown.
     """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
@@ -119,8 +119,8 @@ def plot_joint_paths(
 def plot_field(model: ShapedMotion, demonstrations: Demonstrations, path: StrPath, seed: int = 0) -> None:
     """Plot where a model leads from other starts: its velocity field in a plane, and paths from random starts.
 
-    The field is that at the beginning, with hidden neurons or phase at their start; later it changes. For positions in
-    space, the plane is spanned by the two axes along which the demonstrations extend most.
+    The field is that of the first instant, with hidden neurons or phase at their start; it changes over time. For
+    positions in space, the plane is spanned by the two axes along which the demonstrations extend most.
     """
     twists = random_starts(demonstrations, _STARTS, seed)
     paths = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
@@ -135,7 +135,7 @@ def plot_field(model: ShapedMotion, demonstrations: Demonstrations, path: StrPat
     every = 1e3 * paths[..., [3 + h, 3 + v]]
     low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
     low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
-    # As high as the field's sides are to each other.
+    # The figure has the aspect ratio of the field.
     height = 1.0 + 6.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))
     with drawn(path, 6.8, height) as figure:
         axis = figure.subplots()
@@ -151,7 +151,7 @@ def plot_field(model: ShapedMotion, demonstrations: Demonstrations, path: StrPat
 def _draw_paths(
     axis: Any, groups: Sequence[Group], shown: Callable[[Floats], tuple[Floats, Floats]], labelled: bool
 ) -> None:
-    """Draw groups of paths, each at the coordinates that ``shown`` gives, with one label a group."""
+    """Draw groups of paths, each at the coordinates that ``shown`` gives, with one label for each group."""
     for name, paths, line in groups:
         for number, item in enumerate(paths):
             axis.plot(*shown(item), **{"ms": 4, **line}, label=name if labelled and not number else None)

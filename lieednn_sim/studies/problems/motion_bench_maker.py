@@ -39,10 +39,10 @@ class PublishedProblem(NamedTuple):
 
 
 class ProblemSets:
-    """The problems of one robot: a folder of its name with ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ... in it.
+    """The problems of one robot: a folder of its name that holds ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ...
 
-    Beside them it has a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are
-    those of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
+    It also holds a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are those
+    of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
     disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
     decides (`Arm.from_xml`).
 
@@ -58,7 +58,7 @@ class ProblemSets:
         self.model = models[0]
         result = sorted(self.folder.glob("*.srdf"))
         self.semantics = result[0] if len(result) == 1 else None
-        # By set, number and kind.
+        # Keys: set, number and kind.
         self._files: dict[tuple[str, int, str], Path] = {}
         for path in self.folder.rglob("*.yaml"):
             if named := re.fullmatch(r"(scene|request)(\d+)", path.stem):
@@ -86,9 +86,9 @@ class ProblemSets:
         return io.fingerprint(contents, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
-        """Set and number of ``count`` problems, by default all, from each set in turn and spread evenly over it.
+        """Set and number of ``count`` problems, by default all: from the sets in turn, spread evenly over each set.
 
-        The choice is the same for everyone, and any beginning of the list covers all sets.
+        The choice is deterministic, and any beginning of the list covers all sets.
         """
         sets: dict[str, list[int]] = {}
         for name, number, kind in sorted(self._files):
@@ -120,7 +120,7 @@ class ProblemSets:
 
     def _rounded(self, q: Floats) -> Floats:
         """Coordinates ``(n,)``, put on a limit where they exceed it by less than the URDF's precision."""
-        # Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
+        # URDFs give limits, such as pi, to five decimals, but starts and goals have full precision [rad, m].
         inside = np.clip(q, *self.arm.position_limits.T)
         return np.where(np.abs(inside - q) < 1e-5, inside, q)
 
@@ -161,7 +161,7 @@ class ProblemSets:
 
     @cached_property
     def _tree(self) -> tuple[dict[str, str], str]:
-        """The link that each joint of the URDF moves, but for fixed ones, and the root link, where obstacles are."""
+        """The link that each joint of the URDF moves, except fixed joints; and the root link, where obstacles are."""
         with _malformed(self.model):
             robot = ElementTree.parse(self.model).getroot()
             moved = {joint: next(joint.iterfind("child")).attrib["link"] for joint in robot.findall("joint")}
@@ -171,7 +171,7 @@ class ProblemSets:
 
     @cached_property
     def _locked(self) -> dict[str, float]:
-        """Start positions, in the first problem, of the URDF's joints that are not in goals."""
+        """Start positions in the first problem of those joints of the URDF that goals do not name."""
         start, goal = self._first
         return {joint: start[joint] for joint in self._tree[0] if joint not in goal and joint in start}
 

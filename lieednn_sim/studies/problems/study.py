@@ -1,7 +1,7 @@
 """Planners on published problems.
 
-Columns have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics); skipped problems are
-counted apart from failed ones.
+Columns are named as in robometrics (A. Fishman et al., github.com/fishbotics/robometrics); skipped problems are counted
+separately from failed ones.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from lieednn_sim.values import Floats, check_fields, set_fields
 
 SKIPPED = "skipped"
 _TIMED = importlib.util.find_spec("toppra") is not None  # whether paths can be retimed to the arm's limits
-# Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
-# are not in the list of 100.
+# Starts and goals are close to obstacles, and the time budget is the only limit of the search. These values were chosen
+# on problems that are not among the 100 of `PublishedProblems`.
 _SEARCH = RrtConnectOptions(
     margin=0.002,
     max_collision_checks=(100_000_000,),
@@ -46,8 +46,8 @@ _SEARCH = RrtConnectOptions(
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
-    # deviates a little are found by the check of its motion. Fewer neurons would rarely do for paths this long.
+    # Its guide is minimum jerk, or else the same search, for a fair comparison with it. A network may deviate a little,
+    # since the check of its motion finds contacts. Fewer neurons rarely suffice for paths this long.
     "lieednn-shaped": ShapedOptions(
         guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2, neurons=(64,)
     ),
@@ -58,14 +58,14 @@ OPTIONS: Mapping[str, PlannerOptions] = {
 class Solution(TableRow):
     """The result of a planner on a published problem.
 
-    The reason of a failure begins with "skipped" where start or goal are invalid, with "plan" where the planner failed,
-    with "problem" where it could not be read, and with "error" for anything else.
+    The reason of a failure begins with "skipped" if start or goal are invalid, with "plan" if the planner failed, with
+    "problem" if the problem could not be read, and with "error" for anything else.
     """
 
     _key = ("problem", "number", "planner")
 
-    problem: str  # name of its set
-    number: int  # in the set
+    problem: str  # name of the problem's set
+    number: int  # number of the problem in its set
     planner: str
     success: bool = outcome()  # whether there is a motion within all limits and free of contact
     reason: str = ""
@@ -118,9 +118,9 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str) -> Plan:
     result = plan(
         arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
     )
-    if _TIMED and planner not in OPTIONS:  # which time their motions
-        # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
-        # its new samples. Then the motion stays as it is.
+    if _TIMED and planner not in OPTIONS:  # those planners retime their motions themselves
+        # Not plan(fastest=True), which rejects the plan if a path that barely clears an obstacle touches it at its new
+        # samples; here the motion is then kept as it is.
         with contextlib.suppress(PlanError):
             result = replace(result, motion=retime(arm, result.motion))
     return result

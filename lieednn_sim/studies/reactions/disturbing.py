@@ -1,4 +1,4 @@
-"""How policies are disturbed: the recovery from a push and its force, and a pole that walks into the arm's way."""
+"""Disturbances of policies: the force of a push and the recovery from it, and a pole that walks into the arm's way."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import MovingObstacle
 from lieednn_sim.values import Floats
 
-# A push: its duration [s], and the deviation of a joint that it shall cause [ranges].
+# Duration of a push [s], and the deviation of a joint that it should cause [ranges].
 PUSH_TIME, PUSH_DEVIATION = 0.2, 0.1
 WALKER = "obstacle_walker"
 
 
 @dataclass(frozen=True)
 class PathRecovery:
-    """How an arm recovered; the distance of configurations is the largest difference of a joint, in its range."""
+    """How an arm recovered; the distance of configurations is the largest difference of a joint over its range."""
 
     deviation: float  #: largest distance from the path
-    #: Time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
+    #: Time from the disturbance's end until the distance stays below a tenth of ``deviation``; None if it never does.
     time_s: float | None
-    fraction: float | None  #: of the path left when the disturbance began, what was covered by then; None likewise
+    fraction: float | None  #: fraction of the path left at the disturbance's begin that was covered by then, or None
 
 
 class UndisturbedPath:
@@ -44,7 +44,7 @@ class UndisturbedPath:
     def nearest(self, q: Floats) -> tuple[Floats, Floats]:
         """Distances ``(K,)`` of configurations ``(K, n)`` from the path, and the nearest places on it in [0, 1]."""
         distance = cdist(q / self._range, self._points, "chebyshev")
-        # Many points may be equally near in the furthest joint: the Euclidean distance breaks the tie.
+        # Many points may be equally near in the largest joint difference: the Euclidean distance breaks ties.
         index = (distance + 1e-6 * cdist(q / self._range, self._points)).argmin(axis=1)
         return distance[np.arange(len(q)), index], self._fractions[index]
 
@@ -66,12 +66,12 @@ class UndisturbedPath:
 def pushing_force(deviation_under: Callable[[float], float]) -> float:
     """Force [N] that makes a joint deviate by 8 to 12 % of its range, or the last one tried; at most 20 kN.
 
-    It must be found in the run itself. Drives resist a growing force almost rigidly up to their limits, then yield
-    suddenly: half as much force again throws the arm ten times as far. Where that begins depends on the configuration,
-    on the forces that the motion itself takes, and on the policy. ``deviation_under`` maps a force to the largest
-    deviation of a joint from the undisturbed path in units of its range.
+    The force must be found in the run itself: drives resist a growing force almost rigidly up to their limits, then
+    yield suddenly, and 1.5 times that force moves the arm ten times as far. The force at which this happens depends on
+    the configuration, on the forces that the motion itself needs, and on the policy. ``deviation_under`` maps a force
+    to the largest deviation of a joint from the undisturbed path in units of its range.
     """
-    # A guess [N], largest force [N], and the brackets: force and deviation.
+    # Initial guess [N], largest force [N], and the two brackets, each a force and its deviation.
     force, most, low, high = 300.0, 2e4, (0.0, 0.0), (np.inf, np.inf)
     # Bracketing, then false position in the logarithms.
     for _ in range(12):
@@ -95,11 +95,11 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
 def walking_pole(
     arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng: np.random.Generator
 ) -> tuple[Arm, MovingObstacle]:
-    """The arm with a pole that walks from ``begin`` on to a place that its end effector would pass later, or PlanError.
+    """The arm with a pole that walks, from ``begin`` on, to a place that the end effector would pass later.
 
-    It waits clear of the whole way, keeps clear of where the arm is while it walks, and has been since ``begin``, and
-    stands clear of the arm's last posture. The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q``
-    ``(K, n)`` and fractions of the path ``gone`` ``(K,)``.
+    `PlanError` if there is no such place. The pole waits clear of the whole motion, keeps clear of all configurations
+    since ``begin`` while it walks, and stands clear of the last one. The undisturbed motion has times ``t`` ``(K,)``
+    [s], joint coordinates ``q`` ``(K, n)`` and fractions of the path ``gone`` ``(K,)``.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
@@ -107,11 +107,11 @@ def walking_pole(
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.04, 2.0, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
     body.pos = [100.0, 0.0, 0.0]
     beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
-    # It keeps 4 cm from the arm until it stands, and leaves 6 cm at the target.
+    # The pole keeps 4 cm from the arm until it stands, and 6 cm from the arm at its target.
     before, after, touching = (Surroundings(beside, margin) for margin in (0.04, 0.06, 1e-3))
     tips = np.asarray(arm.link_poses(q).translation)[:, -1]
-    # The arm would meet it on the second half of the path. It walks for 0.6 s, or that share of the time until the last
-    # place where it may stand.
+    # The arm would meet the pole on the second half of the path. The pole walks for 0.6 s, or for 0.6 of the time until
+    # the arm passes the last place where it may stand, if that is less.
     stands = begin + min(0.6, 0.6 * (float(t[np.argmax(gone >= 0.95)]) - begin))
     stride = 10
     walking = np.flatnonzero((t >= begin) & (t <= stands))[::stride]
@@ -125,7 +125,7 @@ def walking_pole(
         meets = _blocks(touching, tip, q[later[::stride]])
         if not meets or _blocks(after, tip, q[-1:]) or _blocks(after, first, q[::stride]):
             continue
-        # It walks into no arm, not even into one that has slowed down since it began.
+        # The pole must not walk into the arm, even if the arm has slowed down since the pole began to walk.
         if not any(_blocks(before, obstacle.at(t[k]), q[walking[walking <= k]]) for k in walking):
             return beside.with_moved_bodies({WALKER: first}), obstacle
     raise PlanError("no place was found where a pole can stand in the arm's way")

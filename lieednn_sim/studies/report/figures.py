@@ -34,10 +34,10 @@ _STYLE: Any = {
     "legend.frameon": False,
 }
 _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_MARKS = 200  # in a line, at most: more would merge, and take megabytes
+_MARKS = 200  # most marks in a line: more would merge, and take megabytes
 
 
-# Families of planners, by the modules of these.
+# Families of planners, by the modules of the planners.
 _NETWORKS, _OTHERS = "networks with a proof", "others"
 _OF_MODULE = {
     "interpolation": "straight ways and primitives",
@@ -49,7 +49,7 @@ FAMILIES = dict(zip((_NETWORKS, *dict.fromkeys(_OF_MODULE.values()), _OTHERS), (
 
 
 def family(name: str) -> str:
-    """The family of a planner, which does not depend on what else is compared."""
+    """The family of a planner; it does not depend on the other planners that are compared."""
     entry = PLANNERS.entries.get(name)
     if entry is None or not isinstance(entry.place, str):
         return _OTHERS
@@ -64,7 +64,7 @@ class Plot(NamedTuple):
     svg: str
 
 
-# Columns that are drawn, and those of them that have a logarithmic axis.
+# Columns that are drawn, and which of them have a logarithmic axis.
 _DRAWN = ("tracking_rms_mm", "clearance_mm", "planning_s", "path_ranges", "jerk_effector")
 _LOGARITHMIC = ("tracking_rms_mm", "planning_s", "jerk_effector")
 
@@ -109,7 +109,7 @@ def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
             if len(values) > _MARKS:
                 thinned = True
                 shown = np.sort(values)[np.linspace(0, len(values) - 1, _MARKS).astype(int)]
-            # Spread by a fixed pattern, so that equal values are distinguishable and every run is the same.
+            # Spread by a fixed pattern, which separates equal values and is the same in every run.
             spread = y + 0.07 * (np.arange(len(shown)) % 3 - 1)
             axes.plot(shown, spread, _SCENE_MARKERS[place % 7], color=colour, ms=2.8, alpha=0.75, mew=0)
             axes.plot([np.median(values)] * 2, [y - 0.16, y + 0.16], color=colour, lw=2.2)

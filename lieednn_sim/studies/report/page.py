@@ -1,4 +1,4 @@
-"""The page: who wins what, medians, plots, motions in 3D and failures in one HTML file without external resources."""
+"""The page: winners, medians, plots, motions in 3D and failures in one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ class View(NamedTuple):
 def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
     """Choose up to ``count`` problems of a table, and at most four planners that solved each.
 
-    The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
-    successes in the whole table is the first of every problem where it succeeded; the others take turns.
+    Each arm and scene has one problem; those that most planners solved come first. The LieEDNN planner with the most
+    successes in the whole table is the first one in every problem that it solved; the others take turns.
     """
     most = as_count("the number of problems", count, least=0)
     solved = [row for row in table.rows.values() if row.success and row.controller == controller]
     names = summary.in_order((row.planner for row in solved), PLANNERS)
     totals = {name: sum(row.planner == name for row in solved) for name in names}
     best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
-    # Of each arm in each scene, the seed that the most planners solved; the first of several.
+    # For each arm in each scene, the first of the seeds that the most planners solved.
     problems = []
     for place in grouped(solved, ("arm", "scene")):
         seeds = sorted({row.seed for row in place.rows})
@@ -60,7 +60,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     chosen: list[list[Case]] = []
     for rows in problems[:most]:
         by_name = {row.planner: row.case for row in rows}
-        # More would be too small to see.
+        # More than four would be too small to see.
         some = sorted(summary.in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
         for name in some:
             shown[name] += 1
@@ -72,7 +72,7 @@ def view(table: Table[Row], cases: Sequence[Case], controller: str) -> View:
     """Plan and simulate cases of one problem again, and record them side by side.
 
     Raises:
-        InputError: the table has no such case, or they are of several problems.
+        InputError: the table lacks one of the cases, or they belong to several problems.
         LieEDNNError: viser is not installed.
     """
     rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
@@ -100,7 +100,7 @@ def write_page(
         path: the file to write.
         table: table of the comparison.
         missing: planners that could not be compared, with the reason.
-        views: problems to show in 3D; with them the page has viser's player once.
+        views: problems to show in 3D; all share one copy of viser's player.
         command: command that made the table.
         date: date for the page's head; none when empty, so that the page depends on the table alone.
         reactions: results of the reactive benchmark, for a section of their own.
@@ -161,7 +161,7 @@ def write_page(
         plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
         failures=summary.failures(rows),
         views=views,
-        # What ends a script element must not be in the text of one.
+        # "</" would end the script element that holds this text.
         player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
         reactions=groups(reacted) if reacted else [],
         measured=MEASURED,
