@@ -150,7 +150,7 @@ def view(
             obstacles or where there is no such keyframe.
         start: ``(n,)`` joint coordinates at the beginning, or a keyframe's name.
         seed: seed of random draws.
-        host: address to listen at; any but the loopback address is for others, too, with a warning.
+        host: address to listen at; any but the loopback address admits other machines, with a warning.
         port: port to listen at; 0 for a free one.
         browser: whether to open the page in a browser, if there is one.
         settings: fields of `Settings`, such as ``policy`` and ``payload``.
