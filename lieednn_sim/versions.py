@@ -8,9 +8,9 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-# All results depend on the former, and those of some planners on the latter.
+# All results depend on the packages; those of some planners also on the optional ones.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
-_version = cache(metadata.version)  # of a running process, which reads them for every table and file
+_version = cache(metadata.version)  # cached, since versions are read for every table and file
 
 
 def versions(*, optional: bool = False) -> dict[str, str]:
