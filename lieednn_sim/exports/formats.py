@@ -1,4 +1,4 @@
-"""The function that writes any format, the simplest format, what writers share, and recorded episodes of an expert."""
+"""`export`, the CSV writer, functions that all writers share, and `record`, which records episodes of an expert."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def export(
 
     Args:
         source: a rollout, the directory of a comparison for a format of comparisons, or several of them by name.
-            Files are called by these names; a single one is called ``motion`` or ``comparison``.
+            Files have these names; a single source is called ``motion`` or ``comparison``.
         directory: where to write; it is created if it is missing.
         format: a name of `FORMATS`.
         rate: samples per second [Hz], which must divide the rate of the simulation; by default all samples are written.
@@ -112,7 +112,7 @@ def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None 
 def exporting(directory: StrPath) -> Iterator[tuple[Path, list[Path]]]:
     """Yield a folder for files, and the list to which their final paths are added when the block succeeds."""
     written: list[Path] = []
-    # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
+    # Libraries choose file names in a scratch folder; only complete files are moved to the requested directory.
     with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         yield folder, written
@@ -139,12 +139,12 @@ def record(
     """Record successful episodes of `environments.expert.Expert` as a LeRobot 3.0 data set; returns its files.
 
     An episode of ``LieEDNN/TelescopicReach-v0`` is kept if a motion was planned and the arm rests at its target at the
-    end. It is that of ``reset(seed=seed)`` with the seed that the table of episodes holds, beside the target and, as
-    ``certificate``, the proof of stability of the network that planned it. The features are
+    end. ``reset(seed=seed)`` repeats it with the seed in the table of episodes. The table also holds the target and, as
+    ``certificate``, the proof of stability of the network that planned the motion. The features are
 
     - ``observation.state``: positions, velocities and commanded positions of the joints,
-    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and
-      as the twist ``pose_error``, see `ArmTask`,
+    - ``observation.environment_state``: the difference from the target, as joint positions, as the action ``approach``
+      and as the twist ``pose_error``, see `ArmTask`,
     - ``action``: signed square roots of joint velocities as fractions of their limits,
     - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
 
@@ -163,7 +163,7 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    # Those of a data set are held in memory: at 300 frames each, 3 GB.
+    # All episodes of a data set are held in memory: 3 GB at 300 frames each.
     count, first = as_count("episodes", episodes, most=50_000), as_seed("seed", seed)
     FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
@@ -194,7 +194,7 @@ def record(
 
 
 def _episode(task: ArmTask, expert: Expert, seed: int) -> Episode | None:
-    """The episode of a seed; None if no motion is planned, or the arm is not at its target at the end."""
+    """The episode of a seed; None if no motion was planned, or the arm is not at its target at the end."""
     observation, steps = task.begin(np.random.default_rng(seed)), []
     while not task.over:
         try:

@@ -1,4 +1,4 @@
-"""Rollouts for ROS 2: the planned trajectory as a message in YAML, and a bag with what was measured."""
+"""Rollouts for ROS 2: the planned trajectory as a message in YAML, and a bag with the measured states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.exports.formats import samples
 from lieednn_sim.simulation import Rollout
 
-# The messages below are the same in every distribution since.
+# The messages below have not changed since this distribution.
 _STORE = get_typestore(Stores.ROS2_HUMBLE)
 _TRAJECTORY, _STATE = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
 
