@@ -3,7 +3,7 @@
     with time_limit(10.0):
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
     with reporting(print):
-        ...  # work inside that knows how much there is calls `report`
+        ...  # work inside whose total amount is known calls `report`
 
 The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
 no other thread works for it. Only whether that error is raised depends on the clock: work that ends within its budget

@@ -214,7 +214,7 @@ def as_workers(name: str, value: int) -> int:
 
 
 def as_seed(name: str, seed: Seed) -> int:
-    """Return ``seed``, or what it draws if it is a generator, as a whole number below 2^128, or raise `InputError`."""
+    """Return ``seed``, or a number drawn from a generator, as a whole number below 2^128, or raise `InputError`."""
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:

@@ -1,4 +1,4 @@
-"""Groups of options that several commands take, and what they stand for."""
+"""Groups of options that several commands share, and the objects that they describe."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class ChosenArm:
 
 @dataclass(frozen=True)
 class Goal(ChosenArm):
-    """An arm, from where to where it goes, and in which time.
+    """An arm, and the start, goal and duration of its motion.
 
     Attributes:
         target: joint target: the name of a keyframe, random:SEED, or joint coordinates separated by commas [rad, m]
@@ -99,7 +99,7 @@ class Goal(ChosenArm):
 
     @property
     def asked_duration(self) -> float:
-        """The duration, if need be the default [s]."""
+        """The duration, by default 4 s."""
         return 4.0 if self.duration is None else self.duration
 
     def usual_target(self, arm: Arm) -> str | None:
@@ -111,8 +111,8 @@ class Goal(ChosenArm):
     def start_and_goal(self, arm: Arm, *, place: bool = False) -> tuple[Floats, _Goal]:
         """Joint position of the start, and the goal.
 
-        A position is a joint position with it or, if ``place`` is true, the region of all poses there. `InputError` for
-        several kinds of goals, or one that the arm has not.
+        ``position`` becomes a joint position that reaches it or, if ``place`` is true, the region of all poses there.
+        `InputError` for several kinds of goals, or a keyframe that the arm does not have.
         """
         if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
             raise InputError("give one of --target, --position and --pose")
@@ -140,11 +140,11 @@ class Planning(Goal):
         path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
             the way.
         fastest: follow the planned path as fast as the arm's limits allow.
-        settle: law of time that leaves little swinging and bending of what nothing drives, on the same path:
-            least-energy, zv, zvd or ei.
-        learned: directory of 'learn' with a motion of an end effector: this arm's moves like that, from where the
-            recordings began or from --start, in their duration, and to their goal or to another one.
-        turning: with --learned: whether the end effector turns as was recorded.
+        settle: time law on the same path that leaves little swinging and bending of passive joints: least-energy, zv,
+            zvd or ei.
+        learned: directory of 'learn' with a motion of an end effector, which this arm's end effector imitates: from the
+            start of the recordings or --start, in their duration, to their goal or another one.
+        turning: turn the end effector as was recorded, with --learned.
         time_budget: largest CPU time for planning [s]; inf for no limit.
     """
 
@@ -208,7 +208,7 @@ class Simulating:
 
 
 def still_look(look: Look) -> dict[str, Any]:
-    """The options of a look that pictures have, too."""
+    """The options of a look that also apply to pictures."""
     return {name: value for name, value in look.items() if name != "fps"}
 
 
@@ -228,7 +228,7 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
 
 
 def read_options(options: Any, texts: Sequence[str]) -> Any:
-    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE``; or `InputError`."""
+    """A dataclass of options, changed by texts ``NAME=VALUE`` or ``NAME.OTHER=VALUE``; `InputError` for other texts."""
     known = {entry.name: entry for entry in fields(options)}
     changes: dict[str, Any] = {}
     inner: dict[str, list[str]] = {}
@@ -254,7 +254,7 @@ def read_options(options: Any, texts: Sequence[str]) -> Any:
 
 
 def option_names(options: Any) -> Iterator[str]:
-    """The names of the options of a dataclass, and of those within them."""
+    """The names of the options of a dataclass, including those of nested dataclasses."""
     for entry in fields(options):
         value = getattr(options, entry.name)
         if is_dataclass(value):

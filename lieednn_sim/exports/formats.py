@@ -151,10 +151,10 @@ def record(
     Args:
         directory: directory of the data set; it is created if it is missing.
         episodes: number of episodes.
-        arm: name of an arm of the package, a model file, or an arm.
+        arm: name of an arm of the package, a model file, or an `Arm`.
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
-        planner: planner of the expert, as there.
+        planner: planner of the expert (default: the usual one for the arm in its scene).
         seed: seed of the first episode that is tried; the others follow one by one.
 
     Raises:

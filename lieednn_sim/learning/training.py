@@ -194,7 +194,7 @@ class Training(ABC, Generic[_Options]):
         """The network of the last iterate; None where its weights are not on the manifold."""
 
     def accepts(self, network: Network | None) -> bool:
-        """Whether a network with the target as its stable equilibrium is what was asked for."""
+        """Whether a network whose stable equilibrium is the target meets all other demands."""
         return True
 
     def run(self, first: Floats | None) -> TrainingResult:

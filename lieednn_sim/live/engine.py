@@ -109,7 +109,7 @@ class Made(NamedTuple):
 
 
 def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rate: float, seed: int) -> Made:
-    """Make the policy of some settings; raises as `make_policy` and `plan`. Nothing else may use the arm."""
+    """Make the policy of some settings; raises as `make_policy` and `plan`. No other thread may use the arm."""
     motion = None
     if settings.policy in PLANNED:
         motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
@@ -209,7 +209,7 @@ class Engine:
         return stopping.end
 
     def put_in(self, result: Made) -> None:
-        """Let another policy take over from the present reference; after `InputError` the present one goes on."""
+        """Let another policy take over from the present reference; after `InputError` the present one continues."""
         self._go_on_with(result.policy)
         self._name, self.motion = result.settings.policy, result.motion
         if result.progress is not None:

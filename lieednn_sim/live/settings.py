@@ -1,4 +1,4 @@
-"""What a live view lets its user choose."""
+"""The settings that the user of a live view can change."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class ModelNodes:
         self.model = model = shapes.model
         self.data = mujoco.MjData(model)
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
-        # By the ids of bodies: the node of each body with geometry, and those of its surfaces, whose `color` can be set.
+        # By ids of bodies: the node of each body with geometry, and those of its surfaces, whose `color` can be set.
         self.bodies: dict[int, Any] = {}
         self.surfaces: dict[int, list[Any]] = {}
         for shape in shapes.shapes:

@@ -1,4 +1,4 @@
-"""The table of a study: an SQLite file with its rows and with what they have in common."""
+"""The table of a study: an SQLite file with its rows, and with the settings and versions that they share."""
 
 from __future__ import annotations
 

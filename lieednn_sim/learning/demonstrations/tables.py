@@ -31,7 +31,7 @@ _LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|n
 
 @dataclass(frozen=True)
 class Layout:
-    """What a table of a recording holds."""
+    """The columns and times that a table of a recording may have."""
 
     counts: Sequence[int]  # the numbers of columns that its samples may have
     words: str  # these columns in words, for messages
