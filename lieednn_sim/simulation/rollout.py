@@ -154,7 +154,7 @@ class Rollout:
 
     @cached_property
     def outside(self) -> str:
-        """When and by which joint it left the proof of its plan's clearance; empty without one, and if it did not."""
+        """When and by which joint it left the proof of its plan's clearance; empty if it did not, or has no proof."""
         if self.motion is None or self.clearance is None or self.clearance.proved:
             return ""
         monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
