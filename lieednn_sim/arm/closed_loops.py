@@ -84,7 +84,7 @@ class ClosedLoops:
                 row[:] = np.nan
 
     def _interpolated(self, rows: Floats) -> tuple[Floats, float]:
-        """Rows ``(S, nq)`` near the solutions along a path, interpolated from every eighth, and how far these are apart.
+        """Rows ``(S, nq)`` near the solutions along a path, interpolated from every eighth, and the gap of these.
 
         The distance is zero if the rows are few, too far apart, or have no solutions.
         """
