@@ -32,7 +32,7 @@ class Commands:
         self._damping = arm.model.dof_damping.copy()
         self._low, self._high = arm.position_limits.T
         self._timestep = substeps * arm.timestep
-        # What a control step can move at most.
+        # The most that a coordinate can move in a control step.
         self._travel = self._timestep * arm.velocity_limits
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
@@ -155,7 +155,7 @@ class ArmTask(ABC):
             raise InputError(f"{what}, got {control_timestep:g} s = {ratio:.6g} steps")
         self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
-        # Targets that move are drawn for all of it.
+        # Moving targets are drawn for the whole episode, hence an upper limit.
         if not self.control_timestep <= time_limit <= 1000.0:
             least = f"one control step of {self.control_timestep:g} s"
             raise InputError(f"time_limit must be between {least} and 1000 s, got {time_limit:g} s")
@@ -200,7 +200,7 @@ class ArmTask(ABC):
     def look(self, steps: Any, command: Floats, qpos: Floats, qvel: Floats, frames: Floats, *target: Floats) -> State:
         """The states ``(...)`` after numbers ``(...)`` of control steps; arguments are unchecked.
 
-        They are of commanded positions ``(..., n)``, MuJoCo's positions ``(..., nq)`` and velocities ``(..., nv)``,
+        Arguments are commanded positions ``(..., n)``, MuJoCo's positions ``(..., nq)`` and velocities ``(..., nv)``,
         goal frames ``(..., F, 16)`` (`LinkFrames`) and the arrays of `Target.after`, with leading axes.
         """
         q = self.arm.space.from_qpos(qpos)

@@ -52,7 +52,7 @@ class Expert:
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
-        # Many environments have a task too, but not an episode of it.
+        # A vector of environments has a task, too, but no single episode that an expert could follow.
         if not isinstance(task, ArmTask) or hasattr(inner, "num_envs"):
             raise InputError(
                 "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
@@ -86,11 +86,11 @@ class Expert:
             self.certificate = ""
             self._policy = self._make(task)
             self._episode = task.episode
-            # A plan is from the beginning of the episode on, while a policy by name begins where the arm is.
+            # A plan starts with the episode, while a policy chosen by name starts where the arm is now.
             self._periods = 0 if self._kind is None else task.state.steps
             self._policy.reset(task.arm.keyframe("home") if self._kind is None else task.command)
         measured = task.observe()["position"]
-        # Others may have acted since; asked again at the same time, it answers the same.
+        # Catch up with the episode, which others may have stepped; a second call at the same time changes nothing.
         while self._periods <= task.state.steps:
             self._policy.step(measured, target)
             self._periods += 1
@@ -109,11 +109,11 @@ def planned(
 ) -> tuple[CubicHermiteSpline, str]:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
-    Besides, the proof of stability of the network that it comes from, in words; empty without one. Raises as `plan`.
+    Also returns the network's proof of stability in words, empty without a network. Raises as `plan`.
     """
     result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
-    # The rest of the limits is left to the servos. Nothing moves if it is already there.
+    # The rest of the limits is left to the servos. The factor is 0 if the arm is already at the target.
     factor = slowdown(arm, motion.t, motion.qd, 0.9) or 1.0
     return CubicHermiteSpline(motion.t * factor, motion.q, motion.qd / factor), certificate
 

@@ -52,7 +52,7 @@ _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 def observations(bounds: Bounds, flat: bool) -> tuple[spaces.Space[Any], Callable[[Observation], Any]]:
-    """Space of a task's observations, and what shows one or many of them: as they are, or each as a vector."""
+    """Space of a task's observations, and a function that returns them as they are or each as a vector."""
     space = spaces.Dict({name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()})
     if not flat:
         return space, lambda seen: seen
@@ -180,7 +180,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         mujoco.mj_getState(self._model, self.task.simulation.data, self._first, _STATE)
         self._states = np.tile(self._first, (num_envs, 1))
         command, row = (np.zeros((num_envs, size)) for size in (len(self._home), self.task.observations.size))
-        # Before the first reset, all are over.
+        # Before the first reset, all episodes are over.
         steps, success, failure = np.full(num_envs, self.task.steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
         reward, distance, angle = np.zeros((3, num_envs))
         self._seen = State(steps, command, row, reward, success, distance, angle, np.array(failure, dtype=object))
@@ -281,7 +281,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._look(good, seen.steps[good] + 1, command[~failed])
 
     def _look(self, which: NDArray[np.int_], steps: NDArray[np.int_], command: Floats) -> None:
-        """Update what is known of some environments."""
+        """Update the stored states of some environments."""
         if not len(which):
             return
         qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)

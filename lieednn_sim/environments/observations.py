@@ -18,7 +18,7 @@ Bounds = dict[str, tuple[Floats, Floats]]
 
 # Indices of the factors in a cross product: of the positive terms, then of the negative ones.
 _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
-# Smallest divisor: a rotation by less is none.
+# Smallest divisor: a smaller rotation counts as none.
 _TINY = 1e-100
 
 
@@ -61,7 +61,7 @@ class Target(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo."""
+    """The state of one episode after a control step, or of many with leading axes, without MuJoCo's physics."""
 
     steps: Any  #: numbers of control steps done ``(...)``
     command: Floats  #: commanded positions ``(..., n)``
@@ -77,7 +77,7 @@ class State(NamedTuple):
         return (self.failure != "") | (self.steps >= steps)
 
     def info(self) -> dict[str, Any]:
-        """Of one episode: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason if it failed."""
+        """``success``, ``distance`` [m], ``angle`` [rad] of one episode; and ``failure``, the reason if it failed."""
         info = {"success": bool(self.success), "distance": float(self.distance), "angle": float(self.angle)}
         return info | {"failure": self.failure} if self.failure else info
 
@@ -168,7 +168,7 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
     angle = 2.0 * np.arctan2(sine, np.abs(cosine))
     omega = np.copysign(angle / np.maximum(sine, _TINY), cosine)[..., None] * axis
     turned = _cross(omega, place)
-    # What cancels here for small angles is multiplied by their squares.
+    # Cancellation at small angles does no harm: the coefficient is multiplied by the squared angle.
     half = np.maximum(0.5 * angle, _TINY)
     bend = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     twist = np.concatenate([omega, place - 0.5 * turned + bend[..., None] * _cross(omega, turned)], axis=-1)

@@ -25,7 +25,7 @@ from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["TASKS", "Reach", "Track", "make_task"]
 
-REST = 0.01  # of its velocity limit: a joint that is slower is at rest
+REST = 0.01  # fraction of its velocity limit below which a joint is at rest
 _DRAWS = 40  # attempts to draw a random trajectory
 
 
@@ -41,7 +41,7 @@ class Closeness:
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
         self._farthest = np.array([reach(task.arm), np.pi])
         allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
-        # Of the near and of the fine part [m, rad].
+        # Margins of the near part, then of the fine part [m, rad].
         margins = 0.05, 0.1, 0.005, 0.01
         self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
 
@@ -79,7 +79,7 @@ class Reach(ArmTask):
         seed = int(rng.integers(2**32))
         q = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
         rows = q, goal_frames(self.arm, q, self.frames)
-        # It does not move.
+        # The target does not move.
         return Target(lambda _: q.copy(), tuple(np.broadcast_to(row, (self.steps + 1, *row.shape)) for row in rows))
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -185,7 +185,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     weights = rng.dirichlet(np.ones(3), n)
     omega = 2.0 * np.pi * rng.uniform(0.1, 0.5, (n, 3))
     phase = rng.uniform(0.0, 2.0 * np.pi, (n, 3))
-    # Long enough even if it is not slowed down.
+    # Long enough for the episode even if the trajectory is not slowed down.
     t = np.linspace(0.0, total, int(np.ceil(total / 0.02)) + 1)
     angle = omega * t[:, None, None] + phase
     wave = middle + half * (weights * np.sin(angle)).sum(axis=-1) - home

@@ -142,8 +142,8 @@ class ProjectedTraining(Training[TrainingOptions]):
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
         """The equilibrium near ``x``, to a small fraction of its distance from the target.
 
-        Where Newton's method fails and the training would end, the network is run, as Algorithm 1 does in every epoch:
-        it often still settles.
+        If Newton's method fails and the training would end, the network is run until it rests, as Algorithm 1 does in
+        every epoch: it often still settles.
         """
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)

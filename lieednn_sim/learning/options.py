@@ -22,8 +22,7 @@ class LearningOptions:
         max_rate: the largest rate.
         grow: factor of the rate after a good step.
         shrink: factor after a bad one.
-        max_jump: largest change of a coordinate of the equilibrium from one step to the next that is followed
-            [rad, m].
+        max_jump: a trial is refused if a coordinate of the equilibrium changes by more in it [rad, m].
         tolerance: tau on the largest coordinate of xi* - xi_d [rad, m].
         restarts: how many new initial weights to draw after starts that are given up.
         max_start_epochs: largest number of epochs of a start.
@@ -80,7 +79,7 @@ class TrainingOptions(LearningOptions):
         step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
             one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
             more than ``max_jump``.
-        max_epochs: largest number of epochs over all starts; the last one is limited by it alone.
+        max_epochs: largest number of epochs over all starts; it is the only limit of the last start.
         verified_stop: test the tolerance with the weights after step and projection; the printed algorithm tests
             before.
     """

@@ -207,7 +207,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                # Less where the slope is small, so that the weights come to rest at a minimum.
+                # Shorter steps where the slope is small, so that the weights come to rest at a minimum.
                 length = min(0.3 * (value - _BARRIER), 0.1) / max(slope, 0.3)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)

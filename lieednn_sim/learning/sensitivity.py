@@ -191,7 +191,7 @@ class EquilibriumSolver:
         if not rest.success:
             return rest
         polished = self.newton(weight, rest.x, tolerance=tolerance)
-        # Further away Newton steps have found another equilibrium.
+        # If the result is further away, the Newton steps have found another equilibrium.
         near = polished.success and np.abs(polished.x - rest.x).max() < 1e-2
         return polished if near else rest
 

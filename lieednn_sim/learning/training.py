@@ -184,7 +184,7 @@ class Training(ABC, Generic[_Options]):
 
     @abstractmethod
     def advance(self, before: Iterate, end: int) -> tuple[Iterate, StopReason | None]:
-        """The next iterate, and why the start ends there, or None; at the epoch ``end`` it should.
+        """The next iterate, and the reason if the start ends there, as it should at the epoch ``end``, else None.
 
         Rows of the history are those of the iterate and of those that led to it.
         """
@@ -238,7 +238,7 @@ class Training(ABC, Generic[_Options]):
         return bool(np.abs(now.equilibrium.x - self.goal).max() < self.options.tolerance)
 
     def stable(self, now: Iterate) -> bool:
-        """Whether the equilibrium is."""
+        """Whether the equilibrium is stable."""
         return self.solver.sensitivity(now.weight, now.equilibrium).stable()
 
     def _checked(self, last: Iterate, reason: StopReason, starts: int) -> TrainingResult:

@@ -129,7 +129,7 @@ def align(
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
     for item in demonstrations:
         seen = item.twists_from(at_goal) if kept else item.twists
-        # As far apart as the poses, but for large turns, of which they are the chords.
+        # Points as far apart as the poses; for large turns a chord replaces the arc.
         points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
         reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
         twists.append(reached)
@@ -178,8 +178,8 @@ def at_phases(
 def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
     """Indices of the samples ``(L, M)`` by which a path has moved on further than its noise, and their times.
 
-    Otherwise the noise of sensors would make a way of every pause. A pause belongs to what follows it; that at the end
-    is left out.
+    Otherwise the noise of sensors would add length to the path in every pause. A pause belongs to the motion after it;
+    a pause at the end is left out.
     """
     extent = np.ptp(points, axis=0).max()
     least = 1e-12 * extent
@@ -193,7 +193,7 @@ def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
         if np.linalg.norm(point - points[kept[-1]]) > radius:
             kept.append(k)
     left = np.linalg.norm(points[kept] - points[-1], axis=1)
-    # One of a pause at the end is enough.
+    # One sample of a pause at the end is enough.
     kept = kept[: max(2, int(np.flatnonzero(left > radius)[-1]) + 2)]
     times = t[kept]
     if left[len(kept) - 1] > least:

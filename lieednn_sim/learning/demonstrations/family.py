@@ -5,10 +5,10 @@ of its start from the mean. B is found by ridge regression, and the ridge by lea
 an infinite one, deviations fade as 1 - s. If demonstrations keep goals of their own, dg_k from the mean goal, s dg_k is
 added, and B(s) is a function of (dx_k, dg_k).
 
-Motions differ though their start is the same by their codes (`synthesis.shaping.cascade`), normally distributed: with
-the deviation c of a code, the visible state at network time tau is that of the family plus b(tau) c, where the row
-b(tau) holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions
-through a via point are those whose codes are conditioned on it.
+Motions from the same start differ by their codes (`synthesis.shaping.cascade`), which are normally distributed: if a
+code deviates by c, the visible state at network time tau is that of the family plus b(tau) c, where the row b(tau)
+holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions through a via
+point are those whose codes are conditioned on it.
 """
 
 from __future__ import annotations
@@ -36,12 +36,11 @@ class Response:
 
     gain: Floats  # (K, D, E) derivatives of the path at equal steps of the phase in start and goal
     ridges: tuple[float, float]  # the smallest and the largest of `RIDGES` that were averaged
-    # (n, K, D) what is left of each path, over the square root of 1 less its leverage: as large as if it had not been
-    # fitted to.
+    # (n, K, D) residuals of each path, divided by sqrt(1 - leverage): as large as if the path had not been in the fit.
     residuals: Floats
-    # (E, E) A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by the doubt about
-    # the gain. It is the inverse of the regression's normal matrix, with the least of the ridges, or the largest finite
-    # one; zero if starts are the same.
+    # (E, E) A: at u from the mean start (and goal), the doubt about the gain adds u^T A u times the residuals'
+    # covariance. It is the inverse of the regression's normal matrix, with the least of the ridges, or the largest
+    # finite one; zero if starts are the same.
     growth: Floats
 
 
@@ -58,7 +57,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     if goals:
         fading = np.concatenate([fading, np.eye(size) - fading], axis=2)
         start = np.concatenate([start, away[:, -1]], axis=1)
-    # Of n starts about their mean, n - 1 directions at most; rounding leaves others.
+    # n starts span at most n - 1 directions about their mean; the other singular values are rounding.
     left, spread, right = np.linalg.svd(start, full_matrices=False)
     kept = spread > 1e-9 * max(float(np.abs(paths).max()), 1e-300)
     left, spread, right = left[:, kept], spread[kept], right[kept]
@@ -89,8 +88,8 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
 def one_standard_error(errors: Floats) -> tuple[int, int]:
     """The row with the least mean error of ``(R, n)``, and the last that exceeds it by at most a standard error.
 
-    That of the mean of differences, demonstration by demonstration (Breiman et al., Classification and Regression
-    Trees, 1984, 3.4.3).
+    It is the standard error of the mean of the differences of single demonstrations (Breiman et al., Classification and
+    Regression Trees, 1984, 3.4.3).
     """
     best = int(errors.mean(axis=1).argmin())
     excess = errors - errors[best]
@@ -137,7 +136,7 @@ def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
 
 
 def describe(response: Response | None) -> str:
-    """What a network makes of its start, in words."""
+    """How a network's motion depends on its start, in words."""
     if response is None:
         return "deviations of the start fade as e^-t"
     low, high = (f"{ridge:.3g}" for ridge in response.ridges)
@@ -193,9 +192,9 @@ class CodeSpread:
         return root @ root.swapaxes(1, 2)
 
     def gain(self, seen: Floats, noise: Floats) -> Floats:
-        """Codes ``(6M, o)`` for a deviation of a motion from the mean start that is observed with the noise ``(o,)``.
+        """Codes ``(6M, o)`` per unit of an observed deviation of a motion from the mean start, with noise ``(o,)``.
 
-        What is seen has the derivatives ``(o, 6M)`` in the codes.
+        ``seen`` ``(o, 6M)`` are the derivatives of the observation in the codes.
         """
         root = seen @ self.root
         doubt = root @ root.T + np.diag(noise**2) / self.scale(np.zeros(len(self.growth)))

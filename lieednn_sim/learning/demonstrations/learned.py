@@ -100,7 +100,7 @@ class LearnedMotion:
     def toward(self, goal: Floats) -> Self:
         """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
 
-        If demonstrations kept their goals, it is as they would go there; else the motion shifted, see
+        If the demonstrations kept their goals, it changes with the goal as they do; else it is shifted, see
         `LieEDNN.retarget`.
         """
         target = displacement(as_floats("goal", goal, (6,)))
