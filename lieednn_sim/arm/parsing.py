@@ -50,13 +50,13 @@ def read_arm(
 ) -> dict[str, Any]:
     """The fields of an `Arm` that its model determines; ``arm`` is its name, for messages.
 
-    Without a chain, that of the sites base_frame, link1_frame, ... is read, by the model's own ranges and equalities.
+    Without a chain, the one of the sites base_frame, link1_frame, ... is read, with the model's ranges and equalities.
 
     `InputError` if the model is not an arm.
 
     Args:
-        rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines, sums: of the joints of a chain, and others, that follow one or several joints of it.
+        rest: ``(nq,)``, at which the other joints stay; by default the keyframe ``home``.
+        lines, sums: how joints, of the chain or others, follow one joint or several joints of the chain.
         ranges: the range ``(2,)`` of each joint of a chain.
         notes: which of the ranges were made or narrowed.
     """
