@@ -22,7 +22,7 @@ class Column:
     meaning: str  # in one line
     of_motion: bool = False  # whether it belongs to the plan, so that it is the same for every controller
     timed: bool = False  # whether it is a time that was measured, which differs between runs
-    # Its place in the page's table, from the left, after those of the same place before it; 0 for in its files only.
+    # Position in the page's table, from the left, equal ones in the order of the fields; 0: only in the page's files.
     shown: int = 0
 
 

@@ -146,7 +146,7 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
         try:
-            with reporting(lambda *_: None):  # of its own progress
+            with reporting(lambda *_: None):  # nothing of a single task's progress
                 ended: _Outcome = task, run(*task), None
         except Exception as error:
             ended = task, None, error
@@ -185,7 +185,7 @@ def _added() -> tuple[list[str], list[tuple[int, str]]]:
 
 
 def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) -> None:
-    # Rows report what is missing then.
+    # A failed import is reported by the rows that need it.
     for name in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(name)

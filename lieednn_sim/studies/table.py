@@ -86,7 +86,7 @@ class Table(Generic[R]):
         except (TypeError, ValueError) as error:
             raise InputError(f"settings must hold what JSON can: {error}") from None
         with _connected(file, "rwc") as base:
-            # Of several processes that begin, one makes the tables.
+            # If several processes begin at once, one makes the tables.
             base.execute("BEGIN IMMEDIATE")
             if base.execute("SELECT 1 FROM sqlite_schema").fetchone() is None:
                 for statement in _statements(kind).values():
@@ -119,7 +119,7 @@ class Table(Generic[R]):
             base.executemany(insert, ([getattr(row, name) for name in names] for row in rows))
 
     def merge(self, other: Table[R]) -> None:
-        """Add the rows of another table, but for those whose keys are here.
+        """Add the rows of another table, except for those whose keys this table has.
 
         Raises:
             FileError: it has other settings, versions, arms or scenes, or a row that differs from the one here in more
@@ -204,7 +204,7 @@ def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
     try:
         # Others that write are waited for up to a minute.
         with contextlib.closing(sqlite3.connect(address, uri=True, timeout=60.0)) as base, base:
-            # Of a file that anyone may have made.
+            # The file may come from anyone.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
             base.execute("PRAGMA trusted_schema = OFF")
             yield base

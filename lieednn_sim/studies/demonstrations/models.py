@@ -162,8 +162,8 @@ def compare_models(
 
     Args:
         rivals: names of `RIVALS`; by default all.
-        aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
-            same seen from either.
+        aligned: if goals are kept, the same demonstrations with aligned goals, for the rivals, which know one goal.
+            Errors are the same with either.
         starts, seed: number and seed of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
     """

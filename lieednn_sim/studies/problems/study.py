@@ -46,8 +46,8 @@ _SEARCH = RrtConnectOptions(
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
-    # deviates a little are found by the check of its motion. Fewer neurons would rarely do for paths this long.
+    # The guide is minimum jerk, or else the search of rrt-connect, for a fair comparison. The check of the motion finds
+    # contacts of a network that deviates a little. Fewer neurons would rarely do for paths this long.
     "lieednn-shaped": ShapedOptions(
         guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2, neurons=(64,)
     ),
@@ -118,7 +118,7 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str) -> Plan:
     result = plan(
         arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
     )
-    if _TIMED and planner not in OPTIONS:  # which time their motions
+    if _TIMED and planner not in OPTIONS:  # planners in OPTIONS time their own motions
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):

@@ -15,7 +15,7 @@ from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import MovingObstacle
 from lieednn_sim.values import Floats
 
-# A push: its duration [s], and the deviation of a joint that it shall cause [ranges].
+# A push: its duration [s], and the deviation of a joint that it should cause [ranges].
 PUSH_TIME, PUSH_DEVIATION = 0.2, 0.1
 WALKER = "obstacle_walker"
 
@@ -27,7 +27,7 @@ class PathRecovery:
     deviation: float  #: largest distance from the path
     #: Time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
     time_s: float | None
-    fraction: float | None  #: of the path left when the disturbance began, what was covered by then; None likewise
+    fraction: float | None  #: share covered at recovery of the path that was left at the disturbance; None likewise
 
 
 class UndisturbedPath:
@@ -97,9 +97,9 @@ def walking_pole(
 ) -> tuple[Arm, MovingObstacle]:
     """The arm with a pole that walks from ``begin`` on to a place that its end effector would pass later, or PlanError.
 
-    It waits clear of the whole way, keeps clear of where the arm is while it walks, and has been since ``begin``, and
-    stands clear of the arm's last posture. The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q``
-    ``(K, n)`` and fractions of the path ``gone`` ``(K,)``.
+    It waits clear of the whole way. While it walks, it keeps clear of all configurations that the arm has had since
+    ``begin``. It stands clear of the arm's last configuration. The undisturbed motion has times ``t`` ``(K,)`` [s],
+    joint coordinates ``q`` ``(K, n)`` and fractions of the path ``gone`` ``(K,)``.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
@@ -107,7 +107,7 @@ def walking_pole(
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.04, 2.0, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
     body.pos = [100.0, 0.0, 0.0]
     beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
-    # It keeps 4 cm from the arm until it stands, and leaves 6 cm at the target.
+    # The pole keeps 4 cm from the arm while it walks, and 6 cm while it waits or stands.
     before, after, touching = (Surroundings(beside, margin) for margin in (0.04, 0.06, 1e-3))
     tips = np.asarray(arm.link_poses(q).translation)[:, -1]
     # The arm would meet it on the second half of the path. It walks for 0.6 s, or that share of the time until the last

@@ -34,7 +34,7 @@ _STYLE: Any = {
     "legend.frameon": False,
 }
 _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_MARKS = 200  # in a line, at most: more would merge, and take megabytes
+_MARKS = 200  # most marks of a line: more would merge, and take megabytes
 
 
 # Families of planners, by the modules of these.

@@ -59,7 +59,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     chosen: list[list[Case]] = []
     for rows in problems[:most]:
         by_name = {row.planner: row.case for row in rows}
-        # More would be too small to see.
+        # At most four planners side by side: more would be too small to see.
         some = sorted(summary.in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
         for name in some:
             shown[name] += 1
