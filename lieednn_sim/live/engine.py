@@ -1,6 +1,6 @@
 """The closed loop of a live view: policy, plant and pushes may change while it goes on; without threads or requests.
 
-Its policies are made by workers of the session. What is proved about them is here, too, and the path ahead of one.
+Workers of the session make its policies. This module also has what is proved about a policy, and its path ahead.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def foreseen(
 ) -> tuple[Floats, Floats, Floats] | None:
     """Samples t, q and qd of a policy's way to its target, like those of a motion, where that is known; else None.
 
-    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down, in points that
-    are one unit of t apart.
+    For a network they are points of its own orbit from the present state, one unit of t apart; limits and a slow arm
+    only slow down the motion on it.
     """
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
         return motion.t, motion.q, motion.qd
@@ -174,11 +174,11 @@ class Engine:
     def begin(self) -> None:
         """Forget everything but the plant, and stay at the start until there is a policy."""
         self._periods, self._force = 0, (np.zeros(3), np.zeros(3))
-        # With the periods in which they end.
+        # Each push with the period in which it ends.
         self._pushes: list[tuple[Push, int]] = []
         # A push that acts until it is taken away, with the point where it acts, None for the centre of mass.
         self.pull: tuple[Push, Floats | None] | None = None
-        self.motion: Motion | None = None  # that the policy follows or imitates
+        self.motion: Motion | None = None  # the planned motion that the policy follows or imitates
         self.progress: Progress | None = None  # of a policy with a network
         self._name, self.target = "", self._first
         self.policy = MotionTracker.stopping(self._arm, self._start, np.zeros_like(self._start), self._rate)

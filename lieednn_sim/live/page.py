@@ -27,7 +27,7 @@ from lieednn_sim.values import Floats
 
 # Instants shown per second, and how many of them between two refreshed tables and plots.
 _RATE, _TABLE = 30.0, 5
-# A drag of the target that tells nothing for this long is over, such as after a lost connection [s].
+# A drag of the target ends after this long without a message, such as after a lost connection [s].
 _DRAG_ENDS = 1.0
 
 
@@ -118,7 +118,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
 
 def warning(host: str) -> str:
-    """What to say about an address that other machines can reach; empty for the loopback address."""
+    """A warning about an address that other machines can reach; empty for the loopback address."""
     try:
         private = ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -109,7 +109,7 @@ class Panel:
 
 
 class Plots:
-    """Three plots, in the present container of viser's gui: how far from the target, from the network's, and behind."""
+    """Plots in the present container of viser's gui: distances from the target and the network's, tracking error."""
 
     def __init__(self, gui: Any) -> None:
         self._uplot = optional_module("viser.uplot")
@@ -142,7 +142,7 @@ class Plots:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
-        # On a logarithmic scale.
+        # Positive values, for a logarithmic scale.
         self._rows.append((tick.time, *(max(value, 1e-3) for value in values)))
         while tick.time - self._rows[0][0] > 10.0:
             self._rows.popleft()

@@ -130,7 +130,7 @@ class ArmScene:
         ]
         place = {"position": aimed.position, "wxyz": aimed.quaternion, "depth_test": False}
         self.handle = scene.add_transform_controls("/target handle", scale=0.28 * self._scale, line_width=3.0, **place)
-        # Seen through what the target may be in.
+        # A label is visible through the obstacles that the target may be in.
         self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")
         blank = np.zeros((2, 3))
         self._planned = viser_scene.add_path(scene, "/planned", blank, PLANNED_COLOUR, PLANNED_RADIUS * self._scale)
@@ -208,7 +208,7 @@ def status(snapshot: Snapshot) -> str:
     ]
     if progress is not None:
         bound = f" &le; {progress.bound:.3g} proved" if np.isfinite(progress.bound) else ", no bound proved"
-        # Below it rounding decides.
+        # Smaller distances are rounding.
         rows += [("of the network", "below 1e-9" if progress.distance < 1e-9 else f"{progress.distance:.3g}{bound}")]
     if snapshot.gap is not None:
         rows += [("mechanism gap", f"{_millimetres(snapshot.gap[1])}, {_degrees(snapshot.gap[0])}")]

@@ -13,7 +13,7 @@ class Superseded(Exception):
 
 
 class Worker:
-    """Does jobs one after another in a thread, for which the loop never waits; of those that wait only the newest.
+    """Does jobs one after another in a thread, so that the loop never waits; only the newest waiting job is kept.
 
     ``failed`` is called in the thread with an exception of a job other than `Superseded`.
     """
