@@ -21,7 +21,7 @@ from lieednn_sim.values import Floats, frozen
 _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
-# Colours of the paths, in legends too.
+# Colours of the paths, also in legends.
 PLANNED_COLOUR, TRACED_COLOUR, LOAD_COLOUR = (20, 191, 179), (250, 204, 26), (237, 84, 158)
 # Radii of the paths in pages [m], and their widths in pictures, where hidden ones are thinner, as parts of the height;
 # those travelled are thicker, since they usually cover the planned one.
@@ -89,7 +89,7 @@ def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.ui
     ends = np.vstack([pixels[np.isfinite(pixels[:, 0])] for pixels, *_ in lines] or [np.empty((0, 2))])
     if not len(ends):
         return image
-    # In no more of the picture than is needed.
+    # Draw only in the part of the picture around the lines.
     low = np.clip(ends.min(axis=0) - 16.0, 0.0, picture.size).astype(int)
     size = np.maximum(np.clip(ends.max(axis=0) + 16.0, 0.0, picture.size).astype(int) - low, 1)
     sheet = Image.new("RGBA", tuple((fine * size).tolist()))

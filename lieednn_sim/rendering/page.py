@@ -152,7 +152,7 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
         spacing = 1.1 * float(np.ptp(held @ right))
         offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
         there = (held + offsets[:, None]).reshape(-1, 3)
-        # Narrow, so that all are seen from the same side.
+        # A narrow angle, so that all arms are seen from nearly the same side.
         view = Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
         ratio = _WIDE
     with quiet_server() as server:
@@ -208,7 +208,7 @@ class _Copy:
             trail.append(path[k])
             node.points = segments(np.array(trail))
             if path is self._way:
-                # What the travelled path covers is left out: at the same depth the two lines would flicker.
+                # Parts that the travelled path covers are not drawn: at the same depth the two lines would flicker.
                 covered = self._followed & (self._samples <= k)
                 self._planned.points = segments(self._plan)[~(covered[:-1] & covered[1:])]
 

@@ -38,7 +38,7 @@ def planned_frames(run: Rollout) -> Floats:
 
 
 def load_path(run: Rollout) -> Floats:
-    """Where the centre of mass of what hangs was, ``(K, 3)``; ``(0, 3)`` where nothing does."""
+    """Path of the centre of mass of the hanging bodies, ``(K, 3)``; ``(0, 3)`` if nothing hangs."""
     model, places = run.arm.model, np.empty((len(run.t), 3))
     mass = model.body_mass * PassiveJoints(run.arm).bodies
     if not mass.any():
@@ -53,8 +53,8 @@ def load_path(run: Rollout) -> Floats:
 def occupied(run: Rollout) -> Floats:
     """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the arm passes.
 
-    These are around the geoms of what moves by a millimetre at some instants, which in the model of a view may be more
-    than the arm, and of the bodies that carry the end effector; and of what stands among them, as far as it does.
+    These are boxes around the geoms of the bodies that carry the end effector and of all that move by a millimetre
+    between some instants, which may be more than the arm in a view; and the parts of fixed geoms among these boxes.
     """
     arm, model = run.arm, run.arm.model
     data, results = mujoco.MjData(model), []
@@ -87,7 +87,7 @@ def place(arm: Arm) -> str:
 
 
 def caption(run: Rollout, time: float) -> list[str]:
-    """What a run is of, the step of a sequence at a time [s] or the controller, and what is proved of its clearance."""
+    """Arm and scene of a run, its controller or step of a sequence at a time [s], and its proved clearance."""
     proof = [] if run.clearance is None else [run.clearance.at(time)]
     return [place(run.arm), run.step_at(time) or run.controller, *proof]
 
@@ -144,7 +144,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     if marked and arm.import_report is None:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
-    spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
+    spec.compiler.discardvisual = False  # else, by the default of URDF files, all of this would vanish
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
     # Robots bring a spotlight at most, around which all is dark.
     for light in list(spec.lights):

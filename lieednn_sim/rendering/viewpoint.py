@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.values import Floats, frozen
 
-# Sides [deg], the one that is taken unless another one is better first.
+# Sides [deg], in the order in which they are preferred.
 _AZIMUTHS, _ELEVATIONS = 125.0 + 30.0 * np.array([0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, 6]), (-20.0, -45.0)
 # Geoms of these groups are drawn.
 _DRAWN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
@@ -56,7 +56,7 @@ class Viewpoint:
 
 
 def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera, points: Floats) -> Viewpoint:
-    """The viewpoint of a camera of MuJoCo; in the middle is what is as far away as the points ``(P, 3)``."""
+    """The viewpoint of a camera of MuJoCo; the point in the middle is as far away as the mean of points ``(P, 3)``."""
     scene = mujoco.MjvScene(model, maxgeom=1)  # no geoms are asked for, only the camera's pose and frustum
     mujoco.mj_camlight(model, data)
     mujoco.mjv_updateCamera(model, data, camera, scene)
@@ -83,8 +83,8 @@ def free_side(
 ) -> tuple[float, float]:
     """Azimuth and elevation [deg] from which most of a path ``(K, 3)`` is seen, at positions ``(I, nq)`` of the model.
 
-    What is seen is the length of the path in the picture where nothing is before it, in the mean over the instants. The
-    first side that sees nearly as much as the best one is taken. The others are as for `around`.
+    The measure is the length in the picture of the parts of the path that are not hidden, in the mean over the
+    instants. The first side that sees nearly as much as the best one is taken. The others are as for `around`.
     """
     data, steps = [kinematics_at(model, qpos) for qpos in instants], np.diff(path, axis=0)
     sides, seen = list(product(_AZIMUTHS, _ELEVATIONS)), []
@@ -100,7 +100,7 @@ def free_side(
 def unhidden(
     model: mujoco.MjModel, data: mujoco.MjData, eye: Floats, points: Floats, without: int = -1
 ) -> NDArray[np.bool_]:
-    """Which of points ``(P, 3)`` no drawn geom is before, seen from ``eye`` ``(3,)``; one body may be left out."""
+    """Which points ``(P, 3)`` are visible from ``eye`` ``(3,)``, hidden by no drawn geom; one body may be left out."""
     rays = points - eye
     length = np.linalg.norm(rays, axis=1)
     distance, count = np.empty(len(rays)), len(rays)

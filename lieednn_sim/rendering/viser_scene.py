@@ -66,7 +66,7 @@ class Shapes:
             if model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0:
                 still.append(mesh.bounds @ data.xmat[body].reshape(3, 3).T + data.xpos[body])
             if rgba is not None:
-                # Without the colours of its parts, which take longest to handle.
+                # Drop the colours of the mesh's parts, which take longest to handle.
                 mesh = type(mesh)(*_parted(mesh, trimesh_graph), process=False)
             self.shapes.append(Shape(body, mesh, rgba))
         points = np.vstack(still)

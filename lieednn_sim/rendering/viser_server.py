@@ -38,7 +38,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
             raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
         yield server
     finally:
-        # What does not close by then, such as a connection that a browser holds without a use, would be waited for.
+        # Abort connections that stay open, such as unused ones of a browser: `stop` would wait for them.
         for connection in [each for started in asked for each in list(started.server.handlers)]:
             connection.loop.call_soon_threadsafe(connection.loop.call_later, 0.3, connection.transport.abort)
         with contextlib.redirect_stdout(io.StringIO()):
@@ -48,8 +48,8 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
 def refusal(headers: Mapping[str, str], host: str) -> str:
     """Why a request with these headers is not answered by a server that listens at ``host``; empty if it is.
 
-    Its ``Host`` must be an address in numbers, the name of this machine, or ``host``: a site whose name is made to lead
-    here keeps that name. Its ``Origin``, if it has one, must be the same: another site's page has another.
+    Its ``Host`` must be an address in numbers, the name of this machine, or ``host``: a request through a foreign name
+    that is made to lead here still has that name. Its ``Origin``, if it has one, must be the same as its Host.
     """
     asked = headers.get("Host", "")
     own = socket.gethostname().lower()
@@ -92,7 +92,7 @@ def _asking(host: str) -> Iterator[list[Any]]:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
             return process_request(connection, request)
 
-        quiet = logging.Logger("viser", logging.CRITICAL)  # who connects and asks for nothing is no error
+        quiet = logging.Logger("viser", logging.CRITICAL)  # a connection without a request is no error
         asked.append(serve(*args, process_request=process, logger=quiet, **settings))
         return asked[-1]
 
