@@ -27,7 +27,7 @@ _SCRATCH = threading.local()
 
 
 class QuietWarnings:
-    """Keeps MuJoCo from printing warnings and from leaving a log file behind; who uses it looks at ``data.warning``."""
+    """Keeps MuJoCo from printing warnings and from leaving a log file behind; callers check ``data.warning``."""
 
     def __enter__(self) -> None:
         self._before = mujoco.get_mju_user_warning()

@@ -16,7 +16,7 @@ from typing import Any
 class WorkerProcess(SpawnProcess):
     """A fresh process that ends at once when its starter does, even by SIGKILL, and leaves Ctrl-C to it.
 
-    Both begin before it imports what it works with, which may take seconds.
+    Both hold from before its own imports, which may take seconds.
     """
 
     def start(self) -> None:
@@ -33,7 +33,7 @@ class WorkerProcess(SpawnProcess):
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def __reduce__(self) -> tuple[Callable[..., WorkerProcess], tuple[Any, ...], dict[str, Any]]:
-        # What is called comes before the rest in the stream, and so before what the rest imports.
+        # The pickled stream holds `_begun` and its arguments first, so it is called before the rest imports anything.
         rest = {name: value for name, value in vars(self).items() if name not in ("_starter", "_held")}
         return _begun, (type(self), self._starter), rest
 
@@ -41,7 +41,7 @@ class WorkerProcess(SpawnProcess):
 class LoneWorkerProcess(WorkerProcess):
     """A worker that does not run the program of the one that started it, which may be a script that moves a robot.
 
-    It may be idle when that ends, which is therefore not to wait for it.
+    The program does not wait at its end for this worker, which may be idle then.
     """
 
     def start(self) -> None:

@@ -28,8 +28,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
-    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies. Of
-    long fields the ``repr`` shows the kind alone, and the shape.
+    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds for unpickled and deep copies.
+    The ``repr`` shows only the kind and the shape of long fields.
     """
     result: Any = dataclass(frozen=True, eq=False, repr=False)(cls)
     initialise, names = result.__init__, [item.name for item in fields(result)]
@@ -64,7 +64,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
 
 def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
-    """Decorator: as `functools.cache`, but results go with the first argument, to which they must not refer."""
+    """Decorator: as `functools.cache`, but results are freed with the first argument, to which they must not refer."""
     results: WeakKeyDictionary[Any, dict[Any, _Class]] = WeakKeyDictionary()
 
     @wraps(function)

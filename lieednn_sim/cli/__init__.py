@@ -153,6 +153,6 @@ def say(message: str) -> None:
     try:
         print(f"lieednn-sim: {message}", file=sys.stderr, flush=True)
     except OSError:
-        # What waits there would fail again at exit, with another exit code.
+        # The buffered output would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

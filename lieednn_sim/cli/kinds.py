@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
-# What takes them checks their range, and whether such a thing exists.
+# The functions that take these values check their range, and whether such a thing exists.
 Directory = str
 File = str
 Point = tuple[float, ...]

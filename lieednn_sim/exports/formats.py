@@ -154,7 +154,7 @@ def record(
         arm: name of an arm of the package, a model file, or an arm.
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
-        planner: planner of the expert, as there.
+        planner: planner of the expert, as for `environments.expert.Expert`.
         seed: seed of the first episode that is tried; the others follow one by one.
 
     Raises:
@@ -163,7 +163,7 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    # Those of a data set are held in memory: at 300 frames each, 3 GB.
+    # All episodes of a data set are held in memory: 3 GB at 300 frames each.
     count, first = as_count("episodes", episodes, most=50_000), as_seed("seed", seed)
     FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")

@@ -28,8 +28,8 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     """Write a data set with one episode for each rollout; see `formats.export`.
 
     ``observation.state`` holds the measured positions and velocities, and ``action`` the planned positions one sample
-    later. ``rate`` is a whole number; by default that which is nearest to 50 Hz and divides the simulation's rate.
-    `InputError` if rollouts are of arms with other joints, or for the rate.
+    later. ``rate`` is a whole number that divides the simulation's rate, by default the nearest to 50 Hz. `InputError`
+    if rollouts are of arms with other joints, or for the rate.
     """
     (first, timestep), episodes = next((item.arm, item.timestep) for item in rollouts.values()), []
     fps = _frames_per_second(rate, timestep)

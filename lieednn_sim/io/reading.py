@@ -1,4 +1,4 @@
-"""Reading of files that may hold anything: what they may take of size, memory and time is bounded here."""
+"""Reading of files that may hold anything, with bounds on their size and on the memory and time that they take."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def parse_yaml(content: bytes) -> Any:
 
     depth, loader, too_deep = 0, _loader(), f"it is nested more than {_DEEPEST} deep"
     try:
-        # Before anything is built: the loader recurses, and its compiled form crashes where that is too deep.
+        # Check the depth before loading: the loader recurses, and its compiled form crashes on deep nesting.
         for event in yaml.parse(content, Loader=loader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST:
@@ -94,14 +94,14 @@ def _loader() -> Any:
     import yaml
 
     class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-        """Reads 1e-3 as the number that it is in YAML 1.2, not as a text; refuses what is there twice."""
+        """Reads 1e-3 as a number, which it is in YAML 1.2, not as a text; refuses duplicate keys."""
 
         def __init__(self, stream: Any) -> None:
             super().__init__(stream)
             self._seen = set[int]()
 
         def flatten_mapping(self, node: Any) -> None:
-            # At first, before what is merged is among its entries.
+            # Only in the first call, before merged entries are among the node's own.
             if id(node) not in self._seen:
                 self._seen.add(id(node))
                 names = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))

@@ -161,7 +161,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
         umask = os.umask(0)
         os.umask(umask)
         for temporary in temporaries:
-            # Before a umask can forbid to open it.
+            # Before `chmod`, since the umask may forbid to open the file.
             _sync(temporary)
             temporary.chmod(0o666 & ~umask)
         for target in outdated:
