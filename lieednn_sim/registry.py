@@ -68,7 +68,7 @@ class Entry:
         return isinstance(self.place, str)
 
     def load(self) -> Any:
-        """The thing itself, which is imported when it is asked for first."""
+        """The thing itself, which is imported at the first call."""
         return self._within(self.place.partition(":")[2]) if self.own else self.place
 
     @property
@@ -403,7 +403,7 @@ _ARMS = {
 }
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
 ARMS = Registry("arm", _ARMS, further="or the path of an MJCF or URDF file")
-#: Those that studies take by default, which are alike.
+#: The arms that studies take by default, which are similar.
 DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 
 _SCENES = {

@@ -38,8 +38,8 @@ from lieednn_sim.values import StrPath
 class Arm(ModelArm):
     """A robot arm among obstacles; make one with `Arm.load`.
 
-    The base class `SerialArm` has its joint coordinates, limits and kinematics, and `ModelArm` what else its model has;
-    this class adds files, obstacles and contacts.
+    The base class `SerialArm` has the joint coordinates, limits and kinematics, `ModelArm` the contacts and everything
+    else in the model; this class adds files, scenes and obstacles.
 
     Attributes:
         scene: name of the obstacles around it: one of `registry.SCENES`, or the stem of their file.
@@ -69,15 +69,15 @@ class Arm(ModelArm):
         model = find_model(name, options)
         if model.options or not model.path.is_relative_to(models_directory()):
             return cls.from_xml(*model[:2], **model.options).with_scene(scene, seed)
-        recipe = (("from_xml", model[:2], ImportOptions()),)  # of the package's own files, which do not change
+        recipe = (("from_xml", model[:2], ImportOptions()),)  # cached, since the package's own files do not change
         return copy.deepcopy(_loaded(pickle.dumps(recipe))).with_scene(scene, seed)
 
     @classmethod
     def from_xml(cls, path: StrPath, name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
         """Load an MJCF or URDF file that holds one arm.
 
-        A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
-        imported (`importer.importing.import_model`): its longest chain, or what the options name, is the arm.
+        A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other file
+        is imported (`importer.importing.import_model`): the arm is its longest chain, or the one that the options name.
 
         Args:
             path: the file.
@@ -114,9 +114,9 @@ class Arm(ModelArm):
     def _taken(
         cls, model: Path | mujoco.MjSpec, spec: mujoco.MjSpec, source: Path, name: str, options: ImportOptions
     ) -> Arm:
-        """The arm of a file or a spec, as it is in ``spec``: by its sites, or imported."""
+        """The arm in ``spec``: read by its frame sites if it has them, otherwise imported from ``model``."""
         given = chosen(options)
-        # The sites of the package's arms at their link frames.
+        # The package's own arms have these sites, at their link frames.
         if not given and spec.site("base_frame") is not None and spec.site("link1_frame") is not None:
             compiled = compile_spec(spec)
             if not loop_closures(compiled):
@@ -140,24 +140,24 @@ class Arm(ModelArm):
         limits: Mapping[str, Mapping[str, float]] | None = None,
         clearance: float = PLANNED_CLEARANCE,
     ) -> Arm:
-        """Some joints of anybody's compiled model as an arm; everything else is where ``data`` has it.
+        """Take some joints of any compiled model as an arm; everything else stays where ``data`` has it.
 
-        The arm's model is a copy of the given one, with mocap bodies and active equalities as in ``data``. Other
-        joints, free bodies and robots are in it: obstacles, or parts of the link that carries them. The keyframe
-        ``home`` is the state of ``data``. Obstacles are added to the model itself, before it is compiled.
+        The arm's model is a copy of the given one, with mocap bodies and active equalities as in ``data``. Its other
+        joints, free bodies and robots are obstacles, or parts of the link that carries them. The keyframe ``home`` is
+        the state of ``data``. To add obstacles, add them to the model before it is compiled.
 
-        Joints that active equalities tie to the named ones move with them, wherever they are: by a joint or tendon
-        equality, or in a closed loop of ``connect`` and ``weld``, such as the cylinder that lifts a boom
-        (`Dependents`). Their ranges, and those of limited tendons, bound the arm. On the chain itself they may only
-        follow in a straight line: of a boom and its cylinder, name the joint of the chain, the boom's. A free body that
-        an active weld fixes to the end effector is held (`holding`).
+        Joints that active equalities tie to the named joints move with them, anywhere in the model: by a joint or
+        tendon equality, or in a closed loop of ``connect`` and ``weld``, such as the cylinder that lifts a boom
+        (`Dependents`). Their ranges, and those of limited tendons, limit the arm. A joint of the chain itself may only
+        follow linearly; of a boom and its cylinder, for example, name the boom's joint, which is on the chain. A free
+        body that an active weld fixes to the end effector is held (`holding`).
 
         Args:
             model: a compiled model, which is not changed.
-            data: its state. Planning needs positions, mocap bodies and active equalities; a simulation begins with
-                controls, activations and all else as well.
-            joints: names of the joints, on one chain, in any order. The coordinates are in the order of the chain, that
-                of `joint_names`.
+            data: its state. Planning uses positions, mocap bodies and active equalities; a simulation starts from the
+                whole state, with its controls and activations.
+            joints: names of the joints, on one chain, in any order. Coordinates are in the chain's order
+                (`joint_names`).
             links: instead of the joints, names of the bodies or sites at the link frames, from the base outwards; the
                 joints between two of them move one link.
             tip: body or site of the end effector, by default the last body that the joints move.
@@ -166,17 +166,17 @@ class Arm(ModelArm):
             clearance: distance that planned motions keep from contact, start and target included [m].
 
         Warns:
-            UserWarning: it has colliding geoms of the type sdf, of which motions keep no clearance.
+            UserWarning: the model has colliding geoms of the type sdf, from which motions keep no clearance.
 
         Raises:
-            InputError: the joints are not an arm's, or data is of another model, or not finite.
+            InputError: the joints do not form an arm, or data belongs to another model or is not finite.
             NoSolutionError: the state is not near a solution of the equalities, or at a dead centre of a loop.
         """
         check_data(model, data)
         named: dict[str, Any] = {"joints": joints, "links": links, "tip": tip, "base": base, "limits": limits}
         named = {what: value for what, value in named.items() if value is not None}
         if said := without_clearance(model):
-            warnings.warn(said, stacklevel=3)  # through the check of arguments
+            warnings.warn(said, stacklevel=3)  # past the wrapper that checks arguments
         more = {"clearance": clearance, "state": state_of(model, data)}
         own = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
         name = "arm" if own in ("", "MuJoCo Model") else own
@@ -239,11 +239,11 @@ class Arm(ModelArm):
         return replace(self.recompiled(spec), scene=label)
 
     def with_moved_bodies(self, places: Mapping[str, ArrayLike], grown: float = 0.0) -> Arm:
-        """This arm with obstacles elsewhere, such as where they are measured, and grown by a margin.
+        """This arm with some obstacles moved, such as to where they were measured, and grown by a margin.
 
         Args:
             places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
-            grown: how much further than they do the surfaces of their geoms shall reach [m]; meshes are not grown.
+            grown: distance by which the surfaces of their geoms are moved outwards [m]; meshes are not grown.
 
         Raises:
             InputError: there is no such body, or a value is malformed.
@@ -266,10 +266,11 @@ class Arm(ModelArm):
         return replace(self.recompiled(spec), scene=self.scene, scene_seed=self.scene_seed)
 
     def with_payload(self, payload: float) -> Arm:
-        """This arm with a further mass [kg] at the frame of its end effector, of which plans and controllers know.
+        """This arm with a further mass [kg] at its end effector's frame, which plans and controllers account for.
 
-        It is a ball of steel, which touches nothing, and whose weight MuJoCo does not compensate. Limits of rates stay
-        those of the arm alone; forces are checked along each motion (`planning.statics.check_forces`).
+        The mass is a ball of steel that touches nothing and whose weight MuJoCo does not compensate. Limits of
+        velocity, acceleration and jerk stay those of the arm alone; forces are checked along each motion
+        (`planning.statics.check_forces`).
 
         Raises:
             InputError: the mass is negative; or, in a view of a compiled model, MuJoCo compensates the weight of the
@@ -286,7 +287,7 @@ class Arm(ModelArm):
         spec = self.copied_spec()
         add_payload(spec, self, mass, f"payload up to {whole:g} kg")
         for k, servo in enumerate(spec.actuators):
-            # The compiler would derive a servo's damping from the inertia with the payload.
+            # Otherwise the compiler would derive a servo's damping from the inertia with the payload.
             servo.gainprm, servo.biasprm = self.model.actuator_gainprm[k], self.model.actuator_biasprm[k]
         recipe = self.recipe and (*self.recipe, ("with_payload", (mass,), ImportOptions()))
         kept: dict[str, Any] = {name: getattr(self, name) for name in ("scene", "scene_seed", *LIMITS)}
@@ -303,7 +304,7 @@ class Arm(ModelArm):
 
     def recompiled(self, spec: mujoco.MjSpec) -> Arm:
         """This arm in a changed copy of its spec, which has the same joints; raises as `from_xml`."""
-        # Limits of acceleration are those without the payload.
+        # Acceleration limits stay those of the arm without its payload.
         loaded = ("acceleration_limits",) if self.payload > 0.0 else ()
         kept = {name: getattr(self, name) for name in ("clearance", "start_tolerance", "payload", *loaded)}
         if self.qpos_home is None:

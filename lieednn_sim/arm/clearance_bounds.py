@@ -1,11 +1,11 @@
 """How far the joints may be from a configuration without any contact: a proof by separating planes.
 
 Let A and B be convex geoms with a gap between them along a unit vector n, measured at a configuration q. Step 4 of
-`docs/mathematics/tube.md` bounds how far changes of the joints move the points x of B along n: by a sum that is linear
-in the changes, but for a rest of second order, and in x. So it suffices that the corners of a polytope around B stay
-off A. In a ball joint the lever |z x (x - o)| becomes |x - o|, and 1/2 becomes 3/4, since its rotation vector w turns
-the body by J(w) dw only to first order. Levers are those at q, whatever the deviation. Any n gives a valid bound; the
-normal at the nearest points gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex
+`docs/mathematics/tube.md` bounds how far changes of the joints move the points x of B along n. The bound is linear in x
+and, except for a remainder of second order, in the changes. So it suffices that the corners of a polytope around B stay
+off A. For a ball joint the lever |z x (x - o)| becomes |x - o|, and 1/2 becomes 3/4, since its rotation vector w turns
+the body by J(w) dw only to first order. Levers are computed at q, whatever the deviation. Any n gives a valid bound;
+the normal at the nearest points gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex
 hulls.
 """
 
@@ -35,14 +35,14 @@ class ClearanceBounds:
     """Proves that nothing touches while the joints are anywhere near a few configurations.
 
     Args:
-        arm: in its scene.
-        groups: all coordinates in groups with weights, as of `Retractor.groups`.
+        arm: the arm, in its scene.
+        groups: groups of all coordinates, with weights, as in `Retractor.groups`.
         margin: distance to keep [m].
         own: whether the arm's own parts, its base included, count against each other.
 
     Raises:
-        InputError: a geom that could touch another is moved by a closed loop or a curve (`Arm.dependents`), of which
-            nothing is proved; or it is of the type sdf.
+        InputError: a geom that could touch another is of the type sdf, or is moved by a closed loop or a curve
+            (`Arm.dependents`), for which there is no bound.
     """
 
     def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0, own: bool = True) -> None:
@@ -57,20 +57,20 @@ class ClearanceBounds:
         self._turns, self._is_ball = model.jnt_type != SLIDE, model.jnt_type == BALL
         self._dof_turns = self._turns[joints]
         self._bend = np.where(self._is_ball, 0.75, np.where(self._turns, 0.5, 0.0))
-        # From coordinates to the displacements of scalar joints; and the coordinates of each ball joint.
+        # The map from coordinates to displacements of scalar joints, and the coordinates of each ball joint.
         self._into = np.zeros((model.njnt, n))
         scalar = ~self._is_ball[joints]
         self._into[joints[scalar]] = np.abs(arm.space.rates[scalar])
         self._balls = arm.space.balls
         self._ball_joints = joints[arm.space.ball_rate_addresses[:, 0]] if len(self._balls) else np.zeros(0, int)
-        # Of bodies welded together, one is asked.
+        # Bodies that are welded together move alike, so one of them is looked up.
         bodies, which = np.unique(model.body_weldid[model.geom_bodyid], return_inverse=True)
         moves = [arm.moved_by(body)[model.jnt_dofadr] for body in bodies.tolist()]
         self._moves = np.array(moves, dtype=bool).reshape(-1, model.njnt)[which]
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
-        # Which joints do not move each group of geoms that move alike; and where each geom of a pair is with the other
-        # one's group in a table of geoms and groups.
+        # Geoms that the same joints move form a group. `_still` says which joints do not move each group; `_places` has
+        # the index of each geom of a pair, with the other geom's group, in a flattened table of geoms and groups.
         alike, group = np.unique(self._moves, axis=0, return_inverse=True)
         self._still, (first, second) = (~alike.T).astype(float), self._collisions.pairs.T
         self._places = first * len(alike) + group.ravel()[second], second * len(alike) + group.ravel()[first]
@@ -82,11 +82,11 @@ class ClearanceBounds:
     ) -> tuple[Floats, Floats, Pairs]:
         """Largest scales s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
 
-        q and the path are ``(I, n)``, and the rests ``(I, 2, n)`` with the path, and without it. The deviation d is
-        any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
+        ``q`` and ``path`` are ``(I, n)``; ``rest`` ``(I, 2, n)`` has the bounds with the path and without it (c = 0).
+        The deviation d is any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
 
         Returns:
-            The scales ``(I,)``, up to ``most``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the
+            The scales ``(I,)``, up to ``most``; the same without the path; and the geoms ``(I, 2)`` that limit the
             latter, or -1.
         """
         if len(q) > AT_ONCE:
@@ -106,8 +106,8 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        All three are ``(I, n)``. Bounds are no larger than the cutoff [m], and not below -1, as where loops cannot be
-        closed. The geoms ``(I, 2)`` are those of the bound, or -1.
+        ``q``, ``path`` and ``rest`` are ``(I, n)``. A bound is at most the cutoff [m], and at least -1, its value where
+        loops cannot be closed. The geoms ``(I, 2)`` are those that set the bound, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
@@ -129,13 +129,13 @@ class ClearanceBounds:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
         Returns:
-            Which configuration each is at, ``(P,)``; its geoms; what is left by corners, ``(2, P, V)``, and in all,
-            ``(2, P)``, with the path and without it, less what deviations of scale s take: ``(P, V)`` times s and
-            ``(P,)`` times its square.
+            For each pair, the index of its configuration, ``(P,)``; its geoms; and the distance that is left at each
+            corner, ``(2, P, V)``, and for the pair as a whole, ``(2, P)``, with the path and without it. A deviation of
+            scale s takes ``(P, V)`` times s plus ``(P,)`` times s^2 of it.
         """
         qpos = self._arm.qpos(q)
         place = _Places(self._arm.model, self._data, qpos)
-        # Component by component, in a quarter of the time of norms over a short axis.
+        # Component by component, which takes a quarter of the time of norms over a short axis.
         x, y, z = (place.geoms[..., k, None] - place.anchors[:, None, :, k] for k in range(3))
         levers = np.sqrt(x * x + y * y + z * z) + self._radius[:, None]
         reach = np.where(self._turns, levers, 1.0) * self._moves
@@ -156,18 +156,18 @@ class ClearanceBounds:
         places, come, deviated, levers = self._corners(
             place, at, moving, normals, alone, rates, path[at], rest[at], spread[at]
         )
-        # Where the other one moves alone, too, as in a branch of the arm, its reach is subtracted.
+        # What joints do that move only the other geom, as in a branch of the arm, is bounded by its reach.
         also = reach[at, fixed] * (self._moves[fixed] & ~self._moves[moving])
         taken = steps[:, at]
         constant, linear, square = self._rests(alone, levers, taken)
         constant, linear = constant + (also * taken[:2]).sum(axis=-1), linear + (also * taken[2]).sum(axis=-1)
         slope = deviated + linear[..., None]
-        # Each corner against the plane at the other geom, or all of them against the measured gap.
+        # The distance of each corner from the plane at the other geom, and of all of them by the measured gap.
         within = np.matvec(self._points(fixed), np.vecmat(normals, place.turns[at, fixed])).max(axis=1)
         support = np.vecdot(place.geoms[at, fixed], normals) + within + self._round[fixed] + margin
         free = places - come - support[:, None] - constant[..., None]
         gap = gaps - margin - come.max(axis=-1, initial=0.0) - constant
-        # No plane separates what is not convex; and where geoms touch, there is no normal.
+        # No plane separates geoms that are not convex, and geoms that touch have no normal.
         touching = gaps - margin <= _TOUCHING
         free[:, touching], gap[:, touching] = np.minimum(free[:, touching], 0.0), np.minimum(gap[:, touching], 0.0)
         hollow = (self._arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
@@ -193,7 +193,7 @@ class ClearanceBounds:
     def _normals(
         self, place: _Places, at: NDArray[np.int_], pairs: Pairs, gaps: Floats, points: Floats
     ) -> tuple[Pairs, Floats]:
-        """Pairs with the geom last that more joints move, and unit normals ``(P, 3)`` that lead to it."""
+        """Pairs, ordered so that more joints move the second geom, and unit normals ``(P, 3)`` that point to it."""
         normals = (points[:, 1] - points[:, 0]) / np.where(np.abs(gaps) > _TOUCHING, gaps, np.inf)[:, None]
         swapped = self._moves[pairs].sum(axis=2) @ [1, -1] > 0
         normals[swapped] *= -1.0
@@ -218,11 +218,11 @@ class ClearanceBounds:
         rest: Floats,
         spread: Floats,
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """What the corners of geoms do against normals, moved by the joints ``alone`` ``(P, J)``.
+        """How the corners of geoms move along normals if only the joints ``alone`` ``(P, J)`` move them.
 
         Returns:
-            Their places along the normals, ``(P, V)``; how far they move along them, to first order, by path and rests,
-            ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
+            The positions of the corners along the normals, ``(P, V)``; how far, to first order, they move along them by
+            path and rest, ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
         turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
@@ -250,7 +250,7 @@ class ClearanceBounds:
         return places, come, deviated, alone * levers
 
     def _rests(self, alone: Floats, levers: Floats, steps: Floats) -> tuple[Floats, Floats, Floats]:
-        """The rests as a polynomial of degree two in s: constant ``(2, P)``, linear ``(2, P)``, quadratic ``(P,)``."""
+        """Second-order remainders as a polynomial in s: constant ``(2, P)``, linear ``(2, P)``, quadratic ``(P,)``."""
 
         def rests(displacements: Floats) -> Floats:
             taken = alone * displacements
@@ -277,7 +277,7 @@ class _Places:
 
 
 def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:
-    """The arrays that a function makes of rows ``(I, ...)``, of which it is given at most so many at once."""
+    """The arrays that a function returns for rows ``(I, ...)``, of which it is given at most `AT_ONCE` per call."""
     parts = range(0, len(rows[0]), AT_ONCE)
     made = [bound(*(values[k : k + AT_ONCE] for values in rows)) for k in parts]
     return tuple(map(np.concatenate, zip(*made, strict=True)))
@@ -318,7 +318,7 @@ def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
 
 
 def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
-    """Corners ``(G, V, 3)`` in the geoms' frames, how many differ, and radii of balls: geoms are inside their sums."""
+    """Hulls of geoms: corners ``(G, V, 3)`` in their frames, how many are distinct, radii of balls around corners."""
     sides = 12  # of the prism around a cylinder
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1) / np.cos(np.pi / sides)

@@ -1,4 +1,4 @@
-"""An arm in its model, which may hold more: what it moves besides its chain, what it carries, and what bounds it."""
+"""An arm within its MuJoCo model: what it moves besides its chain, what it carries, touches, and is limited by."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_lim
 class ModelArm(SerialArm):
     """An arm in its model; make one with `Arm.load` or `Arm.of`.
 
-    A view of a model is an arm of some of its joints. Those of the package are the only joints of their models.
+    A view is an arm of some of the joints of a model. The package's own arms consist of all joints of their models.
 
     Attributes:
         recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
@@ -43,22 +43,22 @@ class ModelArm(SerialArm):
         clearance: distance that planned motions keep from contact, start and target included [m]; change it with
             `dataclasses.replace`.
         start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
-            it is then taken as at the limit (`check_start`).
-        leaves: of `leaving`, ``(n,)`` where motions begin.
-        qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
-        state: of a view of a compiled model, the whole of that state (`state_of`), in which simulations begin. Those of
-            an imported file, which is a view as well, begin at rest, with the controls of the keyframe ``home``.
-        named: of a view, the arguments joints, links, tip, base and limits of `Arm.of`.
-        made: of a view, the limits that it was made with, by name.
+            it is then moved to the limit (`check_start`).
+        leaves: for an arm that `leaving` returns, the configuration ``(n,)`` at which its motions begin.
+        qpos_home: for a view, the positions ``(nq,)`` of its model in the state that it was made from: its ``home``.
+        state: for a view of a compiled model, the whole of that state (`state_of`), from which simulations start. An
+            imported file is a view, too, but its simulations start at rest, with the controls of the keyframe ``home``.
+        named: for a view, the arguments joints, links, tip, base and limits of `Arm.of`.
+        made: for a view, the limits that it was made with, by name.
         notes: which ranges were made or narrowed, and why.
-        collision_model: another `geometry`, for what moves it.
+        collision_model: a model used as `geometry` instead of the arm's own, such as a copy with moving obstacles.
         grasp: what it carries (`Arm.holding`).
         payload: mass at the end effector's frame [kg], part of `model` (`Arm.with_payload`).
-        dependents: of a view, the joints that it moves by closed loops or curves, if any.
-        stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
+        dependents: for a view, the joints that it moves by closed loops or curves, if any.
+        stops: for a view, ranges of these joints and of tendons, if any; configurations beyond them are refused.
 
     Raises:
-        InputError: a clearance, tolerance or limit is negative or NaN, as none would be kept, or of another shape.
+        InputError: a clearance, tolerance or limit is negative or NaN, or has a wrong shape.
     """
 
     recipe: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()
@@ -88,7 +88,7 @@ class ModelArm(SerialArm):
 
     @classmethod
     def viewing(cls, model: mujoco.MjModel, data: mujoco.MjData, named: Mapping[str, Any], **more: Any) -> Self:
-        """A view with other fields of its own; arguments and errors are those of `of`."""
+        """A view that has ``more`` fields set; the other arguments and the errors are those of `of`."""
         own = standing(model, data)
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
@@ -96,7 +96,7 @@ class ModelArm(SerialArm):
         return arm if view.held is None else arm.holding(view.held, tied=True)
 
     def data(self) -> mujoco.MjData:
-        """New data of the model: of a view of a compiled model in its state, else at ``home``."""
+        """New data of the model: in its `state` for a view of a compiled model, otherwise at ``home``."""
         if self.state is None:
             return home_data(self.model)
         data = mujoco.MjData(self.model)
@@ -105,27 +105,27 @@ class ModelArm(SerialArm):
 
     @property
     def dofs(self) -> NDArray[np.int_]:
-        """Addresses in qvel of all that the coordinates move, but for what is carried."""
+        """Addresses in qvel of everything that the coordinates move, except for what is carried."""
         more = () if self.dependents is None else dof_addresses(self.model, self.dependents.moved)
         return np.union1d(self.space.rate_addresses, more).astype(int)
 
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:
-        """Which coordinates ``(n,)`` are turns of hinges without a range, alone: a whole turn changes nothing."""
+        """Which coordinates ``(n,)`` each turn a single hinge without a range, so that a whole turn changes nothing."""
         model, joints = self.model, self.model.dof_jntid[self.space.own_rate_addresses]
         free = (model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited[joints] == 0)
         free &= np.count_nonzero(self.space.rates, axis=0) == 1
         return free if self.dependents is None else np.zeros_like(free)
 
     def nearest_turn(self, q: ArrayLike, near: ArrayLike) -> Floats:
-        """Coordinates ``(n,)`` with whole turns of `continuous` ones added so that they are nearest to others."""
+        """Coordinates ``(n,)``, with whole turns added to `continuous` ones to bring them nearest to ``near``."""
         q, near = (as_floats(what, value, (self.n_joints,)) for what, value in (("q", q), ("near", near)))
         turned = q + 2.0 * np.pi * np.round((near - q) / (2.0 * np.pi)) * self.continuous
         low, high = self.position_limits.T
         return np.where((turned < low) | (turned > high), q, turned)
 
     def check_start(self, q: ArrayLike | str, what: str = "start") -> Floats:
-        """Return where the arm is, as `check_position` does; within `start_tolerance` beyond a limit, at that."""
+        """Return a start as `check_position` does, moved to a limit that it exceeds by up to `start_tolerance`."""
         position = self.configuration(q, what)
         inside = self.within_angles(np.clip(position, *self.position_limits.T))
         worst = int(np.abs(position - inside).argmax())
@@ -151,38 +151,39 @@ class ModelArm(SerialArm):
 
     @property
     def geometry(self) -> mujoco.MjModel:
-        """The model for distances: in that of a view, what the arm does not move is welded to the world."""
+        """The model in which distances are measured; in a view's, what the arm does not move is welded to the world."""
         return self._groups[0] if self.collision_model is None else self.collision_model
 
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
-        """Offsets of pairs of geoms that are not the model's own, see `contacts.ContactOffsets`."""
+        """Contact offsets of pairs of geoms that differ from the model's own, see `contacts.ContactOffsets`."""
         return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
 
     @cached_property
     def _groups(self) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
-        """The model with what the arm does not move welded to the world; pairs that do not count (`rigid_groups`)."""
+        """The model for distances of a view, and the pairs of geoms that do not count in it (`rigid_groups`)."""
         if self.qpos_home is None:
             return self.model, {}
         return rigid_groups(self.model, self.dofs, () if self.grasp is None else self.grasp.bodies)
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
-        """Finds geoms closer than a margin [m]; one for each thread."""
+        """A new finder of geoms closer than a margin [m]; each thread needs its own."""
         return ContactFinder(self.geometry, margin, self.offsets, self.leaving_qpos)
 
     @property
     def leaving_qpos(self) -> Floats | None:
-        """The positions ``(nq,)`` at which motions begin that leave what is too near there, if any."""
+        """MuJoCo's positions ``(nq,)`` at `leaves`; None where that is None."""
         return None if self.leaves is None else self.qpos(self.leaves)
 
     def leaving(self, start: Floats) -> tuple[Self, str]:
         """This arm for motions from ``start`` ``(n,)``, which may be closer to something than the `clearance`.
 
-        It may touch that, and be up to `start_tolerance` deep in it. Motions from there leave it: distances grow to the
-        clearance before a coordinate has changed by 0.1 rad or m, and never shrink (`planning.motion.check_joints`).
+        The start may touch it, and be up to `start_tolerance` deep in it. Motions from there leave it: distances grow
+        to the clearance before a coordinate has changed by 0.1 rad or m, and never shrink
+        (`planning.motion.check_joints`).
 
         Returns:
-            The arm, itself where nothing is that close, or something is deeper; and what is close, in words.
+            The arm, which is this one if nothing is that close, or something is deeper; and what is close, in words.
         """
         qpos = self.qpos(start)
         distance, _ = self._nearly_touching.geoms(qpos)
@@ -194,17 +195,17 @@ class ModelArm(SerialArm):
         return replace(self, leaves=start), f"{pairs} ({how}){self._if_held(qpos)}"
 
     def _if_held(self, qpos: Floats) -> str:
-        """What to do if a hand holds a free body that is nearer than the clearance at ``(nq,)``; empty without one."""
+        """Advice on a free body nearer than the clearance at ``(nq,)``, which a hand may hold; empty without one."""
         near = {body for pair in self._nearly_touching.bodies(qpos) for body in pair}
         held = min(self._free_bodies().intersection(near), default="")
         return f"; if the hand holds it, plan with arm.holding({held!r})" if held else ""
 
     def left_along(self, q: Floats) -> Iterator[Floats]:
-        """Distances of what an arm of `leaving` leaves at configurations ``(K, n)``, at most the `clearance`."""
+        """Distances, at most the `clearance`, of geoms that were too near at `leaves`, at configurations ``(K, n)``."""
         return map(self._nearly_touching.left, self.qpos(q))
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
-        """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
+        """Which degrees of freedom ``(nv,)`` move the body with an id; what is carried moves with its carrier."""
         body = as_count("body", body, 0, self.model.nbody - 1)
         carried = self.grasp is not None and body in self.grasp.bodies
         mover = self.grasp.carrier if self.grasp is not None and carried else body
@@ -212,18 +213,18 @@ class ModelArm(SerialArm):
 
     @property
     def keyframes(self) -> tuple[str, ...]:
-        """Names of the keyframes; of a view with ``home``, its state."""
+        """Names of the keyframes; a view always has ``home``, its state."""
         names = super().keyframes
         return names if self.qpos_home is None or "home" in names else ("home", *names)
 
     def keyframe(self, name: str) -> Floats:
-        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made of."""
+        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made from."""
         if name == "home" and self.qpos_home is not None:
             return self.coordinates(self.qpos_home)
         return super().keyframe(name)
 
     def limit_excess(self, q: Floats) -> Floats:
-        """How far each coordinate ``(..., n)`` is outside its limits, and what else has a range (`stops`)."""
+        """How far each coordinate ``(..., n)`` is outside its limits, then the same for the ranges of `stops`."""
         excess = super().limit_excess(q)
         if self.stops is None:
             return excess
@@ -240,11 +241,11 @@ class ModelArm(SerialArm):
             return str(error)
 
     def qpos(self, q: ArrayLike, *, strict: bool = True) -> Floats:
-        """MuJoCo's positions ``(..., nq)`` at joint coordinates ``(..., n)``, those of loops and what is carried too.
+        """MuJoCo's positions ``(..., nq)`` at joint coordinates ``(..., n)``, with those of loops and carried bodies.
 
         Args:
             q: joint coordinates.
-            strict: whether coordinates at which loops cannot be closed raise; else their positions are NaN.
+            strict: whether to raise where loops cannot be closed; otherwise the positions there are NaN.
 
         Raises:
             InputError: q is malformed.
@@ -253,7 +254,7 @@ class ModelArm(SerialArm):
         return self.to_qpos(as_floats("q", q, (self.n_joints,), batched=True), strict=strict)
 
     def to_qpos(self, q: Floats, *, strict: bool = True) -> Floats:
-        """`qpos`, unchecked, which would take as long as a test for contact."""
+        """`qpos` without its checks, which take as long as a test for contact."""
         positions, grasp = self.space.to_qpos(q), self.grasp
         if self.dependents is not None:
             positions = self.dependents.to_qpos(positions, strict=strict)
@@ -264,7 +265,7 @@ class ModelArm(SerialArm):
         return positions
 
     def coordinates_at(self, positions: Mapping[str, float]) -> Floats:
-        """The coordinates ``(n,)`` where joints of the model are at ``positions`` [rad, m], the others as at home.
+        """The coordinates ``(n,)`` that bring joints of the model to ``positions`` [rad, m], the others being at home.
 
         Each joint, such as the stroke of a cylinder, takes the place of the coordinate that moves it most.
 
@@ -288,11 +289,11 @@ class ModelArm(SerialArm):
         return self.coordinates(Dependents(model, data, [*chosen]).to_qpos(qpos))
 
     def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
-        """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""
+        """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, with those of carried bodies."""
         velocities, grasp = super().qvel(q, qd), self.grasp
         if self.dependents is not None:
             rows = np.broadcast_to(as_floats("q", q, (), batched=True), (*velocities.shape[:-1], self.n_joints))
-            # Often many rates at each of a few configurations.
+            # Callers often give many rates at each of a few configurations.
             few, which = np.unique(rows.reshape(-1, self.n_joints), axis=0, return_inverse=True)
             bases = self.dependents.basis(self.qpos(few))[which.reshape(rows.shape[:-1])]
             velocities = np.matvec(bases, velocities[..., self.dependents.dofs])
@@ -300,7 +301,7 @@ class ModelArm(SerialArm):
             tip = self.link_poses(q).as_matrix()[..., -1, :, :]
             held = tip @ grasp.place.as_matrix()
             omega, speed = np.split(np.matvec(self.jacobian(q), as_floats("qd", qd, (), batched=True)), 2, axis=-1)
-            # A free joint's velocity is linear in the world, angular in its body.
+            # A free joint has its linear velocity in the world's frame, its angular velocity in the body's.
             velocities[..., grasp.qvel : grasp.qvel + 3] = speed + np.cross(omega, (held - tip)[..., :3, 3])
             velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
         return velocities
@@ -308,7 +309,7 @@ class ModelArm(SerialArm):
     def unit_rates(self, q: ArrayLike | None = None) -> Floats:
         """Velocities ``(..., nv, n)`` of all that moves at unit rates of the coordinates at ``q`` ``(..., n)``.
 
-        By default, those at any configuration (`tangent_basis`); where there are closed loops, those at home.
+        Without ``q``, they are those at any configuration (`tangent_basis`), or at home if there are closed loops.
         """
         if q is None and self.dependents is None:
             return tangent_basis(self.space)
@@ -316,15 +317,15 @@ class ModelArm(SerialArm):
         return np.swapaxes(self.qvel(at[..., None, :], np.eye(self.n_joints)), -1, -2)
 
     def holding(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
-        """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
+        """This view of a model, with a free body that its end effector carries from its place in ``home`` on.
 
-        The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
-        from what it stands on, that is, what it is nearer to than that now: this it may touch, but sink no deeper into.
+        The body moves with the end effector, and may touch what carries it. It keeps the clearance from all else,
+        except from what it stands on, whatever is nearer than the clearance now: it may touch that, but sink no deeper.
 
         Args:
             body: name of a body with a free joint.
             touching: names of bodies that it may touch as well, such as those it is put on.
-            tied: whether something else fixes it to the hand, which may then be anywhere.
+            tied: whether something else fixes it to the hand; then it may be anywhere.
 
         Raises:
             InputError: the arm is no view, or there is no such body at the hand: up to 0.1 m away, or a tenth of the
@@ -363,7 +364,7 @@ class ModelArm(SerialArm):
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
         """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once.
 
-        Where loops cannot be closed, two bodies of them count as near.
+        Where loops cannot be closed, two of their bodies count as near.
         """
         rows = self.qpos(q, strict=False)
         if self.dependents is None or not np.isnan(rows).any():

@@ -29,12 +29,12 @@ _SERVO_CONTROLLERS = ("position-servo", "inverse-dynamics")
 
 
 def error_causes(rollout: Rollout) -> tuple[str, ...]:
-    """Reasons why joints do not end at their targets, the joint that matters most first, and then remedies.
+    """Reasons why joints do not end at their targets, for the joint that matters most first, and then remedies.
 
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
-    feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
-    that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
-    No servo is at fault where the reference ends elsewhere, such as that of a policy that has not arrived.
+    feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error that decays as exp(-r
+    t), has v / r to go. Arms led by mocap bodies instead of servos have no such causes. No servo is at fault if the
+    reference itself ends elsewhere, such as that of a policy that has not arrived.
 
     A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
     """
@@ -63,20 +63,20 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     kp, _ = servo_gains(model, basis)
     load = np.abs(required_forces(model, rollout.qpos[-1:])[0] @ basis)
     (pace, mass), limits = _pace(rollout), arm.force_limits
-    # The feedback of feedback-linearisation is that of servos, where there are any.
+    # Feedback linearisation uses the feedback of servos, if there are any.
     plain, linearised = (rollout.controller == name for name in ("position-servo", "feedback-linearisation"))
     served = (kp > 0.0) & ((rollout.controller in _SERVO_CONTROLLERS) | linearised)
     stiffness, held = np.where(served, kp, mass * NATURAL_FREQUENCY**2), _held(rollout)
     friction = dry_friction(model, basis) * (plain or linearised)
-    # In other models than the package's, and with a payload, the load is fed forward.
+    # In models that are not the package's, and with a payload, the load is fed forward.
     sag = load * (plain and arm.qpos_home is None and arm.payload == 0.0)
     compensates = f"the controller {'inverse-dynamics' if (kp > 0.0).all() else 'computed-torque'}"
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
-    # A slow servo leaves more than this part of an error at the end of the hold.
+    # A slow servo has more than this part of an error left at the end of the hold.
     slow &= (np.exp(-pace * rollout.hold) > 0.05) & served
     full = np.abs(rollout.force) >= 0.999 * limits
     low, high = control_ranges(model).T
-    ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # where MuJoCo clips it
+    ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # MuJoCo clips the control there
     ended = np.abs(constant_moments(model) @ basis) * (ends & (model.actuator_biasprm[:, 1] < 0.0))[:, None] > 1e-9
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
@@ -122,7 +122,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
 
 
 def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
-    """Contacts, ranges and equalities at the end, as MuJoCo solves them: in words, their forces ``(n,)``, a remedy."""
+    """Contacts, ranges and equalities that MuJoCo finds at the end: in words, their forces ``(n,)``, and a remedy."""
     arm, basis = rollout.arm, tangent_basis(rollout.arm.space)
     model = copy.deepcopy(arm.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -151,7 +151,7 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
 
 
 def _pace(rollout: Rollout) -> tuple[Floats, Floats]:
-    """Decay rates of errors under servos, others held, ``(n,)`` [1/s], and the masses or inertias M that each moves.
+    """Decay rates ``(n,)`` [1/s] of errors under the servos, with other joints held, and the inertia M of each.
 
     The rates are the slower roots of M r^2 + (kv + D) r + kp = 0.
     """

@@ -35,7 +35,7 @@ def as_text(shown: RenderableType) -> str:
 
 
 def markdown_table(headings: Iterable[object], rows: Iterable[Iterable[object]]) -> list[str]:
-    """The lines of a table in Markdown, after an empty one; of its cells, only a table's border is escaped."""
+    """The lines of a table in Markdown, after an empty one; in its cells, only the table's border is escaped."""
     lines = [[str(cell).replace("|", "\\|") for cell in cells] for cells in (headings, *rows)]
     lines.insert(1, ["---"] * len(lines[0]))
     return ["", *(f"| {' | '.join(cells)} |" for cells in lines)]

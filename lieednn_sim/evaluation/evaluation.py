@@ -15,7 +15,7 @@ from lieednn_sim.simulation import Disturbances
 from lieednn_sim.values import StrPath, set_fields
 from lieednn_sim.versions import versions
 
-# A frame has settled when it stays this close to its target.
+# A frame has settled if it stays this close to its target [m, rad].
 SETTLED_TRANSLATION = 1e-3
 SETTLED_ROTATION = float(np.deg2rad(0.1))
 
@@ -64,7 +64,7 @@ class Recovery:
     """The effect of a push, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_s`` is the time from its end until all stay within 1 mm and 0.1 deg of theirs, None if they do not.
+    ``recovery_s`` is the time from its end until all frames stay within 1 mm and 0.1 deg of these, None if never.
     """
 
     body: str
@@ -112,13 +112,13 @@ class Evaluation:
         hold: time of the rollout after the motion [s].
         duration_s: duration of the rollout.
         motion_s: time at which the reference comes to rest.
-        plan: metrics of the motion that was followed, None without one.
+        plan: metrics of the motion that was followed; None without one.
         frames: errors of each link frame, the last one being the end effector.
         joints: peak velocity and forces of each joint.
         displacement_m: distance between the end effector's first and last position.
         clearance_mm: least clearance along the motion; None where nothing can collide or it was not computed.
-        proof: what is proved of the run's distances from contact (`Rollout.clearance`), and `Rollout.outside`.
-        proved: whether it is proved that nothing touched at any instant: the run stayed inside its plan's proof.
+        proof: the proved clearance of the run in words (`Rollout.clearance`), and `Rollout.outside`.
+        proved: whether it is proved that nothing touched at any instant, since the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
@@ -126,8 +126,8 @@ class Evaluation:
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
-        sequence: whether the run is of a sequence, whose contacts are shown and no failure: a grasp is one.
-        load: what the motion left swinging and bending; None for an arm on which nothing does.
+        sequence: whether the run is that of a sequence; its contacts are shown, but are no failure: grasps are such.
+        load: what the motion left swinging and bending; None for an arm without such parts.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
 
@@ -214,7 +214,7 @@ class Evaluation:
 
     @property
     def arrival(self) -> str:
-        """Whether the arm ended at its target, and touched nothing, in a few words."""
+        """Whether the arm ended at its target and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
         touched = f"{self.contacts} contacts at a time, " if self.contacts else ""
         if self.shortfall:
@@ -234,7 +234,7 @@ class Evaluation:
             extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
         if self.scene != "free" and self.clearance_mm is not None:
             extremes.append(f"least clearance {rounded(self.clearance_mm)} mm at samples")
-        if (planned := self.planned_force_fraction or 0.0) > 0.5:  # what is far from its limit need not be told
+        if (planned := self.planned_force_fraction or 0.0) > 0.5:  # forces far below their limits are not worth a line
             extremes.append(f"forces up to {planned:.0%} of a limit as planned, {self.force_fraction:.0%} exerted")
         if extremes:
             lines.append("; ".join(extremes))

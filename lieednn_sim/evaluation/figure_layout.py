@@ -31,13 +31,13 @@ STYLE: Any = {
 def fix_layout(figure: Figure, dpi: float) -> None:
     """Lay out a figure for a resolution ``dpi`` [1/inch] by its layout engine, then remove the engine.
 
-    While a figure has one, `Figure.savefig` draws everything twice, the first time for the layout alone.
+    With an engine, `Figure.savefig` draws everything twice, the first time only for the layout.
     """
     figure.dpi = dpi
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-    # Nor may the user's own settings supply an engine.
+    # The user's own settings must not supply an engine either.
     with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
 
@@ -64,7 +64,7 @@ def fitted_legend(figure: Figure, entries: Mapping[str, Any], most: int = 7) -> 
 
 
 def entries_of(axis: Any) -> dict[str, Any]:
-    """Entries of a legend for what an axis has with names."""
+    """Entries of a legend for everything on an axis that has a name."""
     handles, labels = axis.get_legend_handles_labels()
     return dict(zip(labels, handles, strict=True))
 

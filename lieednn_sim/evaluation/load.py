@@ -1,4 +1,4 @@
-"""What a motion leaves swinging and bending, and how near what hangs came to anything."""
+"""What a motion leaves swinging and bending, and how near a hanging load came to anything."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class LoadMetrics:
     """What the passive joints of an arm (`arm.oscillation.PassiveJoints`) did in a run.
 
     Attributes:
-        swing_deg: largest angle after the motion of joints without a spring from where they rest.
-        bending_mm: how far joints with a spring move the end effector at most after the motion from where it rests.
-        settling_s: time after the motion from which these stay below 1 degree and 5 mm for a period at least, if any.
+        swing_deg: largest angle of joints without a spring from their rest, after the motion.
+        bending_mm: largest distance by which joints with a spring move the end effector from its rest, likewise.
+        settling_s: time after the motion from which both stay below 1 degree and 5 mm, for a period or more, if ever.
         clearance_mm: least distance of what hangs from what does not move, at the samples of the simulation, between
             the geoms of `PassiveJoints.load_model`; None if it was not computed, or nothing hangs.
         nearest: names of the two geoms, the load's first.
-        nearest_s: the time at which they are so near.
+        nearest_s: the time at which they are nearest.
     """
 
     swing_deg: float
@@ -46,7 +46,7 @@ class LoadMetrics:
 
 
 def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | None:
-    """The metrics of a run, None for an arm whose passive joints rest nowhere, or that has none."""
+    """The metrics of a run; None for an arm without passive joints, or if these have no position of rest."""
     arm, passive = rollout.arm, PassiveJoints(rollout.arm)
     if not len(passive.dofs):
         return None
@@ -65,7 +65,7 @@ def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | N
     bending = np.linalg.norm(off[:, passive.sprung] @ slopes[:, passive.dofs[passive.sprung]].T, axis=1)
     late = np.flatnonzero((swing > _SETTLED[0]) | (bending > _SETTLED[1]))
     calm = float(rollout.t[after][late[-1]] - rollout.motion_end) if len(late) else 0.0
-    # What swings through its rest has not settled there.
+    # A load that swings through its position of rest has not settled there.
     settled = not len(late) or calm + sum(1.0 / mode.frequency for mode in modes[:1]) < rollout.hold
     return LoadMetrics(
         swing_deg=float(np.rad2deg(swing.max(initial=0.0))),

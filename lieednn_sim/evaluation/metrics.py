@@ -1,4 +1,4 @@
-"""Metrics of rollouts, of arms behind moving targets, and of plans by themselves."""
+"""Metrics of rollouts, of arms that follow moving targets, and of plans by themselves."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
 
     Args:
         rollout: the simulated run.
-        clearance: whether to compute the least clearance, which takes longer than everything else. In a view,
-            everything is where the simulation had it.
+        clearance: whether to compute the least clearance, which takes longer than everything else. In a view, all
+            bodies are where the simulation had them.
     """
     arm, motion = rollout.arm, rollout.motion
     simulated = rollout.link_poses()
     tracking = pose_errors(simulated, arm.link_poses(rollout.q_ref))
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
-    # Every fifth sample (10 ms at the arms' step), and all with a contact; a free body between fingers is touched.
+    # Every fifth sample (10 ms at the arms' step), and all samples with a contact.
     chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
     least = Collisions(arm).nearest_at(rollout.qpos[chosen])[0] if clearance else np.inf
     proof = rollout.clearance if clearance else None
@@ -90,11 +90,11 @@ def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Reco
     t, (distance, angle) = rollout.t, tracking
     # No step begins at the last sample; times are rounded to the nearest step.
     pushes = [push for push in rollout.disturbances.pushes if push.start < 0.5 * (t[-2] + t[-1])]
-    # Samples belong to a push by the step that begins there, whatever the rounding of the times.
+    # A sample belongs to a push by the step that begins at it; half a step allows for the rounding of times.
     half = 0.5 * float(t[1] - t[0])
     result = []
     for push in pushes:
-        # Pushes that begin together share what follows.
+        # Pushes that begin together share the time that follows.
         until = min((other.start for other in pushes if other.start > push.start), default=np.inf)
         since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
         recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
@@ -107,13 +107,13 @@ def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Reco
 
 @dataclass(frozen=True)
 class FollowingErrors:
-    """Errors behind a moving target; translations in mm, rotations in degrees.
+    """Errors of an arm that follows a moving target; translations in mm, rotations in degrees.
 
     ``rms_*`` is the end effector's error over the whole run, ``worst_*`` the largest of any link frame. ``lag_s`` is
     the delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the
     target does not jump, with e from the simulated to the target position and v the target's velocity; None when it
-    does not move. ``settling_s`` has, for each jump of the target, the time until all frames stay within 1 mm and
-    0.1 deg of it until the next jump, or None when they do not; ``arrives_s`` is when they do so until the end.
+    does not move. ``settling_s`` has, for each jump of the target, the time after which all frames stay within 1 mm and
+    0.1 deg of it up to the next jump, or None when they do not; ``arrives_s`` is when they do so up to the end.
     """
 
     rms_mm: float
@@ -222,7 +222,7 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     speed = np.linalg.norm(velocity, axis=1)
     if speed.max() < 1e-9:  # at rest [m/s]
         return None
-    moving = speed > 0.05 * speed.max()  # near rest the direction of the path is noise
+    moving = speed > 0.05 * speed.max()  # near rest the path's direction is noise
     speed = speed[moving]
     kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))

@@ -81,7 +81,7 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
     passive, some = PassiveJoints(rollout.arm), np.linspace(0, len(rollout.t) - 1, 41).astype(int)
     modes = [passive.modes(q) for q in rollout.q_ref[some]]
     with _over_time(rollout, path, "[Hz]", "natural frequencies, and largest damping, of what nothing drives") as axis:
-        # As many as there are everywhere; those that are overdamped in some places come last.
+        # Only as many modes as there are at all instants; modes that are overdamped somewhere come last.
         for k, of_one in enumerate(zip(*modes, strict=False)):
             label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
             axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
@@ -115,9 +115,9 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
 def plot_network(rollout: Rollout, path: StrPath) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    Below are the clock, the network's own time, and what all other neurons, there may be hundreds, do together: how far
-    they bend each link's state off the straight way to its target, which it would take without them; a turn counts by
-    the arm's length scale.
+    Below are the clock, the network's own time, and the joint effect of all other neurons, of which there may be
+    hundreds: how far they bend each link's state off the straight way to its target, which it would take without them;
+    a turn counts by the arm's length scale.
     """
     arm, motion = rollout.arm, rollout.motion
     assert motion is not None
@@ -137,12 +137,12 @@ def plot_network(rollout: Rollout, path: StrPath) -> None:
                 looks = zip(COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False)
                 for c, (colour, name, width) in enumerate(looks, first):
                     label = f"$\\omega_{name}$ / $v_{name}$"
-                    # Those below are wider, so that equal ones are all seen.
+                    # Lines drawn first are wider, so that equal ones are all visible.
                     axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, lw=width, label=label)
                     axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 shown = scale * np.vstack([motion.xi, motion.xi_target[None]])[..., first : first + 3]
-                # Of all links alike; what is smaller is rounding.
+                # Smaller variations are rounding.
                 margin = max(0.05 * float(np.ptp(shown)), 1e-3)
                 axis.set_ylim(shown.min() - margin, shown.max() + margin)
         clock, bend, *others = axes[-1]
@@ -222,7 +222,7 @@ def plot_channels(rollout: Rollout, path: StrPath) -> None:
 
 @contextmanager
 def _over_time(rollout: Rollout, path: StrPath, unit: str, title: str) -> Iterator[Any]:
-    """One axis over the times of a run, which is drawn on in the block, with the run's events."""
+    """One axis over the times of a run, for the block to draw on, with the run's events."""
     with drawn(path, 10.0, 3.4) as figure:
         axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
         yield axis

@@ -99,7 +99,7 @@ class Session:
         self.path: Floats | None = None
         self.way: ClearanceMonitor | None = None
         self._engine = Engine(arm, self.wanted, self.start, first, self._rate)
-        # The settings that the policy serves, None if another one is wanted; and one that waits for the arm to stop.
+        # Settings of the running policy, None if another one is wanted; a new policy that waits for the arm to stop.
         self._served: Settings | None = None
         self._waiting: Made | None = None
         self.aimed, self.tick = self._pose_of(first), self._engine.look()
@@ -172,7 +172,7 @@ class Session:
         Raises:
             InputError: a value is malformed or unknown.
         """
-        # What runs a file is named when the session is made, not by whoever sees its page.
+        # Paths of code files are accepted only when the session is made, not from whoever sees its page.
         for name, known in (("policy", POLICIES), ("planner", PLANNERS), ("controller", CONTROLLERS)):
             if settings.get(name) is not None:
                 as_choice(name, settings[name], known)

@@ -288,7 +288,7 @@ class BlockNetwork(ABC):
                 return float(np.abs(self._seen(x) - goal).max()) - distance
 
             if away(first) <= 0.0:
-                # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
+                # Integration ends at a crossing; a start that is inside already has none, and nothing is integrated.
                 away, longest = None, 1e-9 * longest
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # an overflow ends the integration, or is noticed below
@@ -322,11 +322,11 @@ class BlockNetwork(ABC):
         The certificate does not depend on the bias: a certified network stays certified. The `start_reference` moves
         with the equilibrium, so that hidden starts depend on the visible one as seen from the target: a cascade
         retargeted by d and started from xi + d repeats its motion from xi, shifted by d. With a `goal_gain` L the
-        `hidden_start` moves by L d, so that the motion to another target may be another one.
+        `hidden_start` moves by L d, so that the motion may differ from target to target.
 
         Raises:
-            InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``, or there is a gain,
-                and no equilibrium from which its reference could move.
+            InputError: the hidden neurons have no equilibrium while the visible ones are at ``xi``; or there is a gain,
+                but no equilibrium from which its reference could move.
         """
         target = self.goal(xi)
         bias = self.gamma / self.mu * target - self.interaction(self.phi(target).ravel()).reshape(target.shape)

@@ -18,9 +18,9 @@ from lieednn_sim.stability.robustness import flat_coordinates
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, StrPath, frozen, read_only, set_fields
 
-# Where an activation is looked at, and how far its slope may be from that of its values there.
+# Points at which an activation is checked, and how far its slope may be from the differences of its values.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
-_FAR = np.array([1e3, 1e6, 1e9])  # where it is near its bound, if it has one
+_FAR = np.array([1e3, 1e6, 1e9])  # points at which it is near its bound, if it has one
 
 
 @frozen
@@ -70,7 +70,7 @@ class Activation:
 
 
 def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Floats:
-    """What a function of the user makes of an array; `InputError` if that is no array of the same shape."""
+    """The result of a user's function for an array; `InputError` if that is no array of the same shape."""
     try:
         with np.errstate(all="ignore"):
             return as_floats(f"{name} of an array", function(x), x.shape)
@@ -159,7 +159,7 @@ class ComponentwiseNetwork(BlockNetwork):
                 replaced.
 
         Raises:
-            InputError: the activation is one of the user's own, hidden neurons hear visible ones, or the network has no
+            InputError: the activation is the user's own, hidden neurons have inputs from visible ones, or there is no
                 equilibrium.
             FileError: the files cannot be written.
         """
@@ -191,7 +191,7 @@ class ComponentwiseNetwork(BlockNetwork):
         """Right-hand side in flat form, ``(..., dN)`` to the same shape; unchecked, for integrators."""
         weight, bias = self._scaled
         rate = bias - self.gamma * x
-        # For one state the method is quicker.
+        # For a single state, `dot` is quicker.
         driven = weight.dot(self.phi(x)) if x.ndim == 1 else self.phi(x) @ weight.T
         if len(weight) == len(bias):
             rate += driven
@@ -213,7 +213,7 @@ class ComponentwiseNetwork(BlockNetwork):
 class HopfieldNetwork(ComponentwiseNetwork):
     """A network with any weight matrix W, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 
-    It is x' = -gamma x + mu (W phi(x) + b), with fields as in `LieEDNN`, but a P of W itself, ``(dN,)``.
+    It is x' = -gamma x + mu (W phi(x) + b), with fields as in `LieEDNN`, except that P ``(dN,)`` certifies W itself.
     """
 
     matrix: Floats

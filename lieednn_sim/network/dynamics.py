@@ -20,7 +20,7 @@ from lieednn_sim.values import Floats, frozen
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
 
-# Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
+# Largest number of evaluations in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
 
 # Coefficients of s to s^7 in the polynomials s^a (1 - s)^b of DOP853's interpolants, one row for each.
@@ -109,7 +109,7 @@ def find_equilibrium(vector_field: VectorField, jacobian: VectorField, start: Fl
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
-    """The state after ``duration``, or after 5000 steps, which only a network far faster than its decay needs."""
+    """The state after ``duration``, or after 5000 steps, which only networks far faster than their decay need."""
     flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
     for _ in range(5000):
         if flow.status != "running":
@@ -176,7 +176,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
             pieces.append(piece)
             if away is not None and away(solver.y) <= 0.0:
                 tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
-                # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
+                # `brentq` leaves its function, though not its arguments, behind in a reference cycle.
                 end = brentq(lambda at, f, x: f(x(at)), solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
                 t.append(end)
                 x.append(piece(end))

@@ -185,7 +185,7 @@ def as_start_law(
 def require_rotations(rotation: Floats) -> None:
     """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
     gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)
-    # More than rounding leaves, far less than a wrong matrix has.
+    # The tolerance is more than rounding leaves, and far less than a wrong matrix has.
     if np.abs(gram).max() > 1e-9 or (np.linalg.det(rotation) < 0).any():
         raise InputError(
             f"rotation must hold rotation matrices; R R^T differs from I by up to {np.abs(gram).max():.2g} or a "

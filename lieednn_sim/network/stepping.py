@@ -59,7 +59,7 @@ class RungeKuttaStepper:
         self._later = [self._parts[k, : len(self._weight)] for k in range(3, 2 + _STAGES)]
 
     def __reduce__(self) -> tuple[type[RungeKuttaStepper], tuple[ComponentwiseNetwork]]:
-        return RungeKuttaStepper, (self._network,)  # in a copy entry by entry the views would be arrays of their own
+        return RungeKuttaStepper, (self._network,)  # copied entry by entry, the views would become arrays of their own
 
     def drive(self, x: Floats) -> Floats:
         """The input u(x) ``(dN,)`` of a flat state ``(dN,)``."""
@@ -81,8 +81,8 @@ class RungeKuttaStepper:
 class UndrivenState:
     """The state of a network whose hidden neurons have no inputs, from visible neurons ``(N, 6)`` and its hidden start.
 
-    Of the visible neurons ``x`` is the state, ``target`` the equilibrium x_d, and ``flow`` after `advance` the field
-    per unit of z, all ``(6N,)``. `InputError` if hidden neurons have inputs, or visible ones have some from each other.
+    ``x`` is the state of the visible neurons, ``target`` their equilibrium x_d, and ``flow``, after `advance`, their
+    field per unit of z, all ``(6N,)``. `InputError` if hidden neurons have inputs, or visible ones from each other.
     """
 
     def __init__(self, network: LieEDNN, visible: Floats) -> None:
@@ -91,7 +91,7 @@ class UndrivenState:
         driven = ratio * network.driven_weight
         if len(driven) > size or driven[:, :size].any():
             raise InputError("only visible neurons may have inputs, and only from hidden ones")
-        # For each visible coordinate those hidden ones that drive it, with weights of zero where others have more.
+        # For each visible coordinate, the hidden ones that drive it, padded with weights of zero.
         weight, self._phi = driven[:, size:], network.phi
         count = int(np.count_nonzero(weight, axis=1).max())
         self._drivers = np.argsort(weight == 0.0, axis=1, kind="stable")[:, :count]
@@ -120,7 +120,7 @@ class UndrivenState:
 
     def advance(self, z: float) -> None:
         """Advance by a time z of 1/gamma."""
-        # Switches are less steep than the inverse of the largest fall of e^-z in a step.
+        # In a step e^-z falls by at most 0.0125; the switches are less steep than the inverse of that.
         count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.0125))
         step = z / count
         for _ in range(count):

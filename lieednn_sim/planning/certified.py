@@ -24,9 +24,9 @@ from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.synthesis import Synthesis, synthesize, synthesize_many
 from lieednn_sim.values import Floats, frozen
 
-# The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
+# Bias magnitudes that are tried in turn: with a stronger bias, weights do less and the transient is straighter.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-_BATCH_SIZE = 24  # candidates made at once: more gain little, and would delay progress reports and interrupts
+_BATCH_SIZE = 24  # candidates made at once: larger batches gain little, and delay progress reports and interrupts
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class CertifiedDetails:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network and its roughly integrated path from a start (`_screened`), which a single candidate does not need."""
+    """A network and, if there are several, its roughly integrated path from a start (`_screened`)."""
 
     arm: Arm
     network: LieEDNN
@@ -98,9 +98,9 @@ class _Candidate:
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """The smaller the better: excess over the limits, then the gap, then the length of the path."""
+        """The sort key, smallest first: excess over the limits, then the gap, then the length of the path."""
         steps = np.diff(self.q, axis=0) / joint_scale(self.arm)
-        # Links with six degrees of freedom have gaps by rounding alone.
+        # The gaps of links with six degrees of freedom are only rounding errors.
         return max(self.excess, LIMIT_TOLERANCE), max(self.gap, 1e-9), float(np.linalg.norm(steps, axis=1).sum())
 
     @functools.cached_property
@@ -126,12 +126,12 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 
     Raises:
         NotCertifiedError: no candidate could be certified.
-        PlanError: every candidate breaks a limit; the message is of the best one.
+        PlanError: every candidate breaks a limit; the message is about the best one.
     """
     rng, total = np.random.default_rng(problem.seed), options.n_networks
     xi = problem.arm.encode(problem.target)
     magnitudes = list(options.magnitudes())
-    # The numbers of networks with which a plan is tried.
+    # A plan is tried with a few networks first, and then with all of them.
     few = min(options.n_first, total)
     networks, drawn = list[LieEDNN](), 0
     while drawn < total:
@@ -167,9 +167,9 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
     """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
     result = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
-    # Networks and their paths are independent of the duration.
+    # Networks and their paths do not depend on the duration, so they are not made again.
     network, motion = in_time(_best, problem, options, result)
-    # The motion has been checked.
+    # The chosen network counts in any case, since its motion has been checked.
     within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in result)
     return Plan(motion, network, CertifiedDetails(drawn, within))
 
@@ -177,7 +177,7 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     arm = problem.arm
-    # If no motion can be fast enough, one refusal suffices; sampled ones may seem slightly faster than they are.
+    # If no motion can be fast enough, one refusal suffices. Sampled motions may seem 1 % faster.
     hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
     refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
@@ -188,7 +188,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
             motion = timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append((str(error), getattr(error, "duration", None)))
-            # Exact motions of so many networks are made and checked.
+            # At most 8 exact motions are made and checked.
             if hurried or len(refusals) == 8:
                 break
             continue
@@ -219,7 +219,7 @@ def _promising(result: list[_Candidate]) -> Iterator[_Candidate]:
 
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
     """The networks, without hidden neurons and with one decay rate, with their roughly integrated paths."""
-    # Side by side: a retraction without closed form costs nearly as much for one state as for a hundred.
+    # All at once: a retraction without closed form costs nearly as much for one state as for a hundred.
     decoded = arm.decode(_side_by_side(networks, arm.encode(start)), start=start)
     excess = arm.limit_excess(decoded.q).max(axis=(0, -1))
     gap = (decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)).max(axis=0)

@@ -1,15 +1,15 @@
-"""The smooth curve that a chunk of joint targets means, and the motion of an arm onto it.
+"""The smooth curve through a chunk of joint targets, and the motion of an arm onto it.
 
 The targets y_k at times k h become a uniform cubic B-spline with control points c, the minimum of
 
     |B c - y|^2 + s |D c|^2,
 
 where B c are its values at these times and D takes third differences (P-splines: Eilers and Marx, Statistical Science
-11(2), 1996), with s for each joint by generalised cross-validation: next to nothing for smooth targets. Such a curve
-stays within the convex hull of its control points: where these keep the position limits, it does so at every instant.
+11(2), 1996). Generalised cross-validation chooses s for each joint; it is nearly zero for smooth targets. Such a curve
+stays within the convex hull of its control points: if these keep the position limits, it does so at every instant.
 
-A chunk that is too fast is slowed down as a whole, by a factor f: its own time u goes on at the rate u' = 1 / f. It
-ends at rest: over a time D this rate falls as 1 - 10 x^3 + 15 x^4 - 6 x^5 with x from 0 to 1, up to the last target.
+A chunk that is too fast is slowed down as a whole by a factor f: its own time u advances at the rate u' = 1 / f. It
+ends at rest: over the last time D this rate falls as 1 - 10 x^3 + 15 x^4 - 6 x^5, with x from 0 to 1.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ _SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in 
 _FOUR, _ORDERS = np.arange(4), np.arange(3).repeat(4)
 # Weights s that are tried; the greatest one whose score is at most this multiple of the best is taken.
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
-# Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
+# Factors on the least durations of a chunk and of the fade onto it, ordered by how much they delay it.
 _TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
 
 
-# Of a ramp from speed 1 to rest at x from 0 to 1: way, speed and the derivative of that, from the powers of x; and of
-# nine places what is left of the way, the squared speed and that derivative.
+# A ramp from speed 1 to rest, for x from 0 to 1: way, speed and the derivative of the speed, from the powers of x.
+# Then, at nine values of x, the way that is left, the squared speed, and the derivative of the speed.
 _RAMP = np.array([[0, 1, 0, 0, -2.5, 3, -1], [1, 0, 0, -10, 15, -6, 0], [0, 0, -30, 60, -30, 0, 0]])
 _WAY, _SPEED, _BEND = _RAMP @ np.linspace(0.0, 1.0, 9) ** np.arange(7.0)[:, None]
 _LEFT, _SQUARE = 0.5 - _WAY, (_SPEED**2)[:, None]
 
 
 class ChunkCurve:
-    """The curve of a chunk over its own time u, from 0 to its ``duration`` [s], where it is at ``end`` ``(n,)``.
+    """The curve of a chunk over its own time u, from 0 to ``duration`` [s]; it ends at ``end`` ``(n,)``.
 
-    It has ``(H + 2, n)`` control points of H targets [rad, m], which are a time ``step`` h apart [s].
+    It has ``(H + 2, n)`` control points [rad, m] for H targets, which are a time ``step`` h apart [s].
     """
 
     def __init__(self, control: Floats, step: float) -> None:
@@ -73,7 +73,8 @@ class ChunkCurve:
         low, high = arm.position_limits.T
         points = arm.within_angles(np.concatenate([control @ kept, kept[[0, -1]]]))
         points = np.minimum(np.maximum(points, low), high)
-        # The first segment is a convex combination of its begin and its last three control points; the last, likewise.
+        # The curve's ends were limited in place of the outermost control points: the first segment is a convex
+        # combination of its begin and its last three control points, and likewise for the last segment.
         points[0] = 6.0 * points[-2] - 4.0 * points[1] - points[2]
         points[-3] = 6.0 * points[-1] - 4.0 * points[-4] - points[-5]
         return cls(points[:-2], step)
@@ -89,7 +90,7 @@ class ChunkCurve:
         return (weights @ self._control[segment[:, None] + _FOUR]).swapaxes(0, 1)
 
     def at(self, u: float) -> Floats:
-        """What a call returns at one time, ``(3, n)``; the last one is kept."""
+        """The configuration and its derivatives ``(3, n)`` at one time; the last result is cached."""
         if u != self._at[0]:
             segment = min(int(u / self.step), self._last)
             weights = ((u / self.step - segment) ** _FOUR) @ self._segment
@@ -97,12 +98,12 @@ class ChunkCurve:
         return self._at[1]
 
     def nearest(self, q: Floats, latest: float) -> float:
-        """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
+        """The time, of 65 even ones up to ``latest``, at which the curve is nearest to a configuration ``(n,)``."""
         u = np.linspace(0.0, latest, 65)
         return float(u[np.square(self(u, 1)[0] - q).sum(axis=1).argmin()])
 
     def places(self, begin: float, apart: float) -> tuple[Floats, Floats]:
-        """Times ``(K,)`` from one on, and configurations ``(K, n)``, neighbours about so far ``apart`` or nearer."""
+        """Times ``(K,)`` from ``begin`` on and the configurations ``(K, n)`` then, at most about ``apart`` apart."""
         steps, first = self.values[1:] - self.values[:-1], math.ceil(begin / self.step - 1e-9)
         parts = math.ceil(math.sqrt(np.vecdot(steps, steps).max()) / apart)
         if parts <= 1:
@@ -111,12 +112,12 @@ class ChunkCurve:
         return u, self(u, 1)[0]
 
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
-        """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
+        """Largest fractions of the velocity and acceleration limits used from ``begin`` on, with joints and rows."""
         first = min(int(begin / self.step), self._last)
         if first in self._excess:
             return self._excess[first]
         rates = (self._control[first + 1 :] - self._control[first:-1]) / self.step
-        # In the middle between two knots, and at the knots.
+        # Rates in the middle between two knots, and at the knots.
         middle, at = (rates[:-2] + 6.0 * rates[1:-1] + rates[2:]) / 8.0, 0.5 * (rates[1:] + rates[:-1])
         parts = np.abs(np.concatenate([at, middle])) / arm.velocity_limits
         bends = np.abs(rates[1:] - rates[:-1]) / self.step / arm.acceleration_limits
@@ -126,10 +127,10 @@ class ChunkCurve:
 
 
 class Ramped:
-    """A curve from its own time ``begin`` to ``end`` [s], ``slower`` by f, at rest at its end after a ``ramp`` D [s].
+    """A curve from its own time ``begin`` to ``end`` [s], ``slower`` by f, that comes to rest by a ``ramp`` of D [s].
 
-    As of a `PPoly`, ``x`` ``(2,)`` has its times at begin and end [s]; later it rests. At ``ramps_at`` [s] the ramp
-    begins; without a ramp it rests at once.
+    Like the breakpoints of a `PPoly`, ``x`` ``(2,)`` has its times at begin and end [s]; after the end it rests. The
+    ramp begins at ``ramps_at`` [s]; without a ramp it rests all the time.
     """
 
     def __init__(self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float) -> None:
@@ -173,11 +174,11 @@ class ChunkMotion(Transition):
 
     @property
     def in_time(self) -> bool:
-        """Whether it is on the curve before that ends."""
+        """Whether the fade is over before the curve ends."""
         return self.fade <= float(self.base.x[-1])
 
     def acceleration(self, time: float) -> Floats:
-        """Accelerations ``(n,)`` at a time, in a straight line between the two of 97 beside it."""
+        """Accelerations ``(n,)`` at a time, interpolated linearly between those at 97 even times."""
         place = min(time / self.duration, 1.0) * (len(EVEN) - 1)
         k = min(int(place), len(EVEN) - 2)
         before, after = self.even[2][k : k + 2]
@@ -191,7 +192,7 @@ class ChunkMotion(Transition):
         count, faded = len(EVEN), time / self.duration
         if faded > 0.12:
             return self.even[:, : math.ceil((count - 1) * faded) + 1]
-        # With those that others ask for, at once.
+        # Together with those of `even`, which others ask for.
         states = self(np.concatenate([self.duration * EVEN, time * EVEN[::3]]))
         vars(self)["even"] = states[:, :count]
         return states[:, count:]
@@ -200,11 +201,11 @@ class ChunkMotion(Transition):
 def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
     """The transition from a state onto a curve, as fast as the arm's limits allow.
 
-    From ``now``, ``(3, n)`` joint coordinates, rates and accelerations, it joins the curve at its time ``begin`` [s] in
-    at least the time ``fade`` [s], and follows it to rest, for ``most`` [s]. If the state is so far behind that the
-    curve would be over first, it is joined at an earlier time, the nearest one at the earliest; at last it is slowed
-    down until that is in time. Velocities and accelerations are checked at samples, against the limits, and positions
-    too; `PlanError` if none of those tried keeps them.
+    From ``now``, ``(3, n)`` joint coordinates, rates and accelerations, it goes over to the curve, beginning at the
+    curve's time ``begin`` [s], within at least ``fade`` [s]; it follows the curve for ``most`` [s] of its time, and
+    ends at rest. If the state is so far behind that the curve would end before the fade, the curve is joined earlier,
+    at the earliest where it is nearest to the state; if even that is too late, it is slowed down. Positions, velocities
+    and accelerations are checked at samples; `PlanError` if no transition tried keeps the limits.
     """
     back = 0.0
     for late in (0.0, 0.25, 0.5, 0.75, 1.0):
@@ -214,7 +215,7 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
         back = back or begin - curve.nearest(now[0], begin)
         if not back:
             break
-    # A state that is ahead would go back first.
+    # A state that is ahead of the curve would have to go back first.
     if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
         with suppress(PlanError):
             return _joined(arm, now, curve, begin - back, most, fade, slows=True)
@@ -224,7 +225,7 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
 def _joined(
     arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float, slows: bool = False
 ) -> ChunkMotion:
-    """The transition that joins a curve at a time, and rests at most so much later; see `go_over`."""
+    """The transition that joins a curve at ``begin``, and rests at most ``most`` later; see `go_over`."""
     end = min(begin + most, curve.duration)
     v, a = limits = np.array([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
@@ -247,7 +248,7 @@ def _joined(
             continue
         q, qd, qdd = result.until(result.fade)
         fits = (np.abs(qd) <= 1.001 * v).all() and (np.abs(qdd) <= 1.001 * a).all()
-        # The state itself may be beyond by what a code lacks.
+        # The present state itself may be beyond a limit, since its code is not exact.
         beyond = arm.limit_excess(q)
         if fits and (beyond <= LIMIT_TOLERANCE + np.maximum(beyond[0], 0.0)).all():
             return result
@@ -255,18 +256,18 @@ def _joined(
 
 
 def _soonest(away: Floats, left: Floats) -> float:
-    """About the least time [s] in which differences ``(3, n)`` fade, with ``(2, n)`` velocities and accelerations."""
+    """About the least time [s] for differences ``(3, n)`` to fade, using velocities and accelerations ``(2, n)``."""
     v, a = left
-    # Largest derivatives of the corrections of `transition`, of differences in position and in velocity.
+    # The largest derivatives of the corrections of `transition` for differences in position and in velocity.
     return float(max((1.875 * away[0] / v).max(), math.sqrt((5.78 * away[0] / a).max()), (4.0 * away[1] / a).max()))
 
 
 def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower: float) -> float | None:
-    """The shortest of the tried D [s] in which a curve comes to rest at its time ``end`` within the limits, if any."""
+    """The shortest ramp D [s] tried in which a curve comes to rest at its time ``end`` within the limits, if any."""
     most = 2.0 * slower * (end - begin)
     if most < 1e-6:
         return 0.0
-    # From the shortest on, at least 0.04 s.
+    # Increasing durations, from at least 0.04 s on.
     tried = most * 0.75 ** np.arange(max(math.log(most / 0.04) / math.log(4.0 / 3.0), 0.0) // 1.0 + 1.0)[::-1]
     times = tried[:, None] / slower
     _, slope, turn = curve(np.maximum(end - times * _LEFT, begin).ravel()).reshape(3, len(tried), 9, -1)
@@ -277,14 +278,14 @@ def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower
 
 @lru_cache(maxsize=64)
 def _fitting(count: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of ``count`` targets: control points of the smoothest curve through values, and its modes.
+    """For ``count`` targets, the map from values to control points of the smoothest curve, and the curve's modes.
 
-    These are ``(count + 2, count)`` and orthonormal ``(count, count)``. For each of `_WEIGHTS`, the part of each mode
-    that is lost, and the factor on its square in the score of generalised cross-validation.
+    These are ``(count + 2, count)`` and orthonormal ``(count, count)``. Then, for each of `_WEIGHTS`, the part of each
+    mode that smoothing removes, and the factor on the mode's square in the score of generalised cross-validation.
     """
     values = (np.eye(count, count + 2) + 4.0 * np.eye(count, count + 2, 1) + np.eye(count, count + 2, 2)) / 6.0
     firsts, thirds = (np.diff(np.eye(count + 2), n=order, axis=0) for order in (1, 3))
-    # Lagrange's conditions of the least |D c|^2 with B c = y; two targets do not determine it.
+    # Lagrange's conditions for the least |D c|^2 with B c = y; the small term decides where two targets would not.
     system = np.block([[thirds.T @ thirds + 1e-9 * firsts.T @ firsts, values.T], [values, np.zeros((count, count))]])
     control = np.linalg.solve(system, np.eye(2 * count + 2)[:, count + 2 :])[: count + 2]
     bent = thirds @ control

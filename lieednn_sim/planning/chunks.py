@@ -1,4 +1,4 @@
-"""Chunks of joint targets, as learned policies emit them: how one is read, what is wrong with it, what is mended."""
+"""Chunks of joint targets, as learned policies emit them: reading them, judging them, and repairing what is wrong."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Chunks with more jumps than this are no motion; with more targets, the first of a length would take long to fit.
+# Chunks with more jumps than this are no motion; with more targets, the first fit of a length would take too long.
 MOST_JUMPS, MOST_TARGETS = 4, 256
 
 
@@ -28,11 +28,11 @@ class Finding:
 
     Attributes:
         kind: ``shape``, ``nan``, ``times``, ``stale``, ``limits``, ``outlier``, ``jump``, ``speed``, ``acceleration``,
-            ``contact``, ``reach``, ``unproved``; ``motion`` where nothing is known that could be done.
+            ``contact``, ``reach``, ``unproved``; ``motion`` if there is another reason why it cannot be followed.
         text: what is wrong, in words.
         repaired: whether it was repaired; otherwise the chunk was refused.
         row: the target, counted from 0; -1 if it is the chunk as a whole.
-        joint: name of the joint; empty if it is none.
+        joint: name of the joint; empty if the finding is about no single joint.
         value: what was found, in the joint's unit; of a contact the distance [m].
         limit: what is allowed.
     """
@@ -61,8 +61,8 @@ def read(
 ) -> tuple[Floats, float, float]:
     """The targets ``(H, n)``, the time of the first one, and that between two; raises `RefusedError`.
 
-    Of poses, a `RigidTransform`, each becomes the joint target next to the one before, the first one near ``(n,)``. The
-    chunk may not begin before the ``newest`` one, or be over ``now`` [s].
+    If the chunk is a `RigidTransform` of poses, each becomes the joint target nearest to the one before, the first one
+    that nearest to ``near`` ``(n,)``. The chunk must not begin before the ``newest`` one, nor be over ``now`` [s].
     """
     kind, n = "shape", arm.n_joints
     try:
@@ -96,20 +96,20 @@ def judge(
 ) -> tuple[list[tuple[float, ChunkCurve]], list[Finding]]:
     """What is wrong with a chunk, and the curves of its parts between jumps, mended.
 
-    Joints beyond their limits are moved to them, unless one is beyond by more than its range, as in a wrong unit, and
-    single targets far off their neighbours between these. Far is what neither the limits of acceleration nor the noise
-    of the others explain.
+    Joints beyond their limits are moved to them, unless one is beyond by more than its range, as in a wrong unit.
+    Single targets far from their neighbours are moved between these; far means that neither the acceleration limits nor
+    the noise of the others explain it.
 
     Args:
         arm: the arm.
         targets: ``(H, n)`` finite targets [rad, m].
         step: h, time between two of them [s].
-        passed: time since the first one [s]; how fast the curve was before does not count.
+        passed: time since the first target [s]; the curve's speed before that does not count.
         reference: ``(n,)`` where the arm should be now [rad, m].
         repaired: kinds of findings that are repaired.
 
     Returns:
-        For each part the time of its first target and its curve; and the findings, at most one of a kind and joint.
+        For each part, the time of its first target and its curve; and the findings, at most one per kind and joint.
     """
     findings = dict[tuple[str, int], Finding]()
 
@@ -122,7 +122,7 @@ def judge(
     mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)
     moved = np.abs(mended - targets)
     beyond = _where(moved > LIMIT_TOLERANCE)
-    if far := beyond and _where(moved > arm.ranges):  # these are named, and not a smaller one before them
+    if far := beyond and _where(moved > arm.ranges):  # name these rather than a smaller excess before them
         beyond, repaired = far, [kind for kind in repaired if kind != "limits"]
     for row, joint in beyond:
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
@@ -130,16 +130,16 @@ def judge(
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
     steps, jumps = mended[1:] - mended[:-1], list[list[int]]()
     bends = np.abs(steps[1:] - steps[:-1])
-    # Where nothing bends more than that, nothing jumps either.
+    # If no bend exceeds this, there are no jumps either.
     if (bends > most).any():
         most, across = most + 6.0 * np.median(bends, axis=0), np.abs(mended[2:] - mended[:-2])
-        # The neighbours of an outlier are bent half as much.
+        # At the neighbours of an outlier the bend is half as large.
         largest = np.maximum(bends, np.maximum(np.roll(bends, 1, axis=0), np.roll(bends, -1, axis=0)))
         for row, joint in _where((bends > most) & (2.0 * across < bends) & (bends > 0.9 * largest)):
             note("outlier", "is off its neighbours by", row + 1, joint, 0.5 * bends[row, joint], 0.5 * most[joint])
             mended[row + 1, joint] = 0.5 * (mended[row, joint] + mended[row + 2, joint])
         steps = np.diff(mended, axis=0)
-        # Of the first and the last step, what the one neighbour does.
+        # The usual step is the mean of both neighbours; for the first and the last step, their only neighbour.
         usual = 0.5 * (np.concatenate([steps[1:], steps[-2:-1]]) + np.concatenate([steps[1:2], steps[:-1]]))
         sizes = np.abs(steps)
         jumps = _where((sizes > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * sizes)))

@@ -1,13 +1,14 @@
 """Clearance of a motion at every instant: a continuous-time collision certificate.
 
-Between its samples a motion is the cubic through their positions and velocities. Around the middle of an interval of
-time of half width h it is q + c p + r with |c| <= 1, where p is h times the rate there, and |r| at most h^2 / 2 times
-the largest acceleration, which is linear on each step of the cubic. `arm.clearance_bounds` bounds the distance of all
-geoms for such joints from below; intervals in which it does not suffice are halved. A sample can step over a thin
-obstacle, a bound cannot.
+Between samples, a motion is the cubic through their positions and velocities. In an interval of time of half width h,
+it is q + c p + r with |c| <= 1, where q is the position in the middle, p is h times the rate there, and |r| is at most
+h^2 / 2 times the largest acceleration, which is linear on each step of the cubic. For all such joints,
+`arm.clearance_bounds` gives a lower bound of the distances of all geoms; intervals in which it does not suffice are
+divided. Samples can step over a thin obstacle, a bound cannot.
 
-Assumed: MuJoCo's kinematics and distances, and geoms that are convex, as MuJoCo takes meshes. For height fields, what
-moves counts with its whole reach. Nothing is proved of parts that closed loops or curves move (`Arm.dependents`).
+The proof assumes that MuJoCo's kinematics and distances are right, and that geoms are convex, as MuJoCo takes meshes to
+be. Near height fields, what moves counts with its whole reach. Nothing is proved of parts that closed loops or curves
+move (`Arm.dependents`).
 """
 
 from __future__ import annotations
@@ -25,30 +26,29 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, frozen, weakly_cached
 
-# Intervals to begin with, and the way in one of them, which is rarely proved if it is longer [rad, m]; and how many
+# Least number of first intervals; the longest way in one of them, beyond which a proof is rare [rad, m]; and how many #
 # bounds are worth while, besides one for every fourth sample.
 _FIRST, _WAY, _MOST = 16, 0.2, 256
 # Intervals shorter than this fraction of a step are not divided.
 _SHORTEST = 1.0 / 4096.0
-# Distance beyond which nothing is measured, and one up to which all is [m]; and how near the proved clearance comes to
-# the least that was measured.
+# Distance beyond which nothing is measured, and the least cutoff of measurements [m]; and the fraction of the least #
+# measured distance that the proved clearance must reach.
 FAR, NEAR, _SHARP = 0.1, 1e-4, 0.95
 
 
 @frozen
 class Clearance:
-    """What is proved of the distances from contact along a motion.
+    """What is proved about the distances from contact along a motion.
 
     Attributes:
-        bound: lower bound of all distances at all instants outside of `unproved`, at most 0.1 [m]; -inf if these are
-            all.
-        t: the instant [s] near which it is that small.
+        bound: lower bound of all distances at all instants outside of `unproved`, up to 0.1 [m]; -inf if there is none.
+        t: the instant [s] near which the bound is attained.
         pair: names of the geoms; empty if nothing comes nearer than 0.1 m.
-        unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
-        doubtful: names of geoms that may touch in one of them; empty if there are none.
-        proved_fraction: the fraction of the motion's time that is left.
-        reason: why nothing can be proved of the arm, if nothing can.
-        others: where the arm's own parts are nearest to each other, the same of all other pairs.
+        unproved: ``(U, 2)`` begin and end [s] of stretches where contact is excluded at the samples only.
+        doubtful: names of geoms that may touch in an unproved stretch; empty if there is none.
+        proved_fraction: the fraction of the motion's time outside of `unproved`.
+        reason: why nothing can be proved about the arm; empty if something can.
+        others: where the arm's own parts are the nearest pair, the clearance of all other pairs.
     """
 
     bound: float
@@ -95,7 +95,7 @@ class Cubics:
         step: time between samples [s].
         q: ``(K, n)`` positions [rad, m].
         qd: ``(K, n)`` rates [rad/s, m/s].
-        off: ``(K, n)`` how far joints may be from them at the samples, in straight lines between.
+        off: ``(K, n)`` how far joints may be from the motion at the samples, linear in between [rad, m].
     """
 
     def __init__(self, step: float, q: Floats, qd: Floats, off: Floats | None = None) -> None:
@@ -106,7 +106,7 @@ class Cubics:
         self._largest = np.maximum(*np.abs(self._ends))
 
     def turns(self) -> Floats:
-        """Instants ``(I,)`` between samples, counted in steps, at which a joint turns round."""
+        """Instants ``(I,)`` between samples, in steps, at which the velocity of a joint changes its sign."""
         before, after = self._moved[:-1], self._moved[1:]
         k, joint = np.divmod(np.flatnonzero(before * after < -1e-30), before.shape[1])  # more than rounding
         first, last, rate = *self._ends[:, k, joint], before[k, joint]
@@ -115,14 +115,14 @@ class Cubics:
         return k - 2.0 * rate / (first - np.sign(rate) * root)
 
     def fastest(self) -> Floats:
-        """Largest rates ``(K - 1, n)`` between samples times the step, 0 where those at the samples are larger."""
+        """Largest rates ``(K - 1, n)`` between samples, times the step; 0 where those at the samples are larger."""
         first, last = self._ends
         inside, result = np.divmod(np.flatnonzero(first * last < 0.0), first.shape[1]), np.zeros_like(first)
         result[inside] = self._moved[inside] - 0.5 * first[inside] ** 2 / (last[inside] - first[inside])
         return result
 
     def at(self, times: ArrayLike) -> tuple[Floats, Floats]:
-        """Joints at instants ``(I,)`` that count steps, and their rates times the step, each ``(I, n)``."""
+        """Joint positions, and rates times the step, both ``(I, n)``, at instants ``(I,)`` in steps."""
         instants = np.asarray(times, dtype=float)
         k = np.minimum(instants.astype(int), len(self._largest) - 1)
         s = (instants - k)[:, None]
@@ -131,22 +131,21 @@ class Cubics:
         return q + s * (moved + s * (0.5 * first + s * jerk / 6.0)), moved + s * (first + 0.5 * s * jerk)
 
     def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
-        """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what joints deviate from these.
+        """Midpoints of intervals, directions, and bounds of how far joints deviate from these, each ``(I, n)``.
 
-        The last ones are what is left of the bounds in the shortest intervals. Begin and end ``(I,)`` count steps; they
-        may be fractions.
+        The last array is what is left of the bounds if the interval has no length. Begin and end ``(I,)`` are in steps.
         """
         begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
         at, rate = self.at(middle)
-        # Steps that an interval touches.
+        # The range of steps that each interval touches.
         count, ends = len(self._largest), zip(begin.tolist(), end.tolist(), strict=True)
         steps = [(min(int(a), count - 1), min(max(math.ceil(b), int(a) + 1), count)) for a, b in ends]
         widest = np.array([np.maximum.reduce(self._largest[a:b]) for a, b in steps]).reshape(at.shape)
         if self._off is None:
             left = np.zeros_like(at)
         else:
-            # What a chord is off its cubic, too.
+            # The first term is the distance of a chord from its cubic within a step.
             left = 0.125 * widest + [np.maximum.reduce(self._off[a : b + 1]) for a, b in steps]
         return at, half * rate, 0.5 * half**2 * widest + left, left
 
@@ -154,8 +153,8 @@ class Cubics:
 def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check that a motion keeps the arm's `clearance`.
 
-    It is proved over intervals. Those in which it cannot be are tested at their samples; where contact is not excluded
-    even so, between samples too, for contact.
+    It is proved over intervals. Those without a proof are tested at their samples; where even contact is not excluded,
+    instants between the samples are tested, too.
 
     Args:
         arm: the arm, in its scene.
@@ -171,7 +170,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics |
     cubics = Cubics(step, q, qd) if cubics is None else cubics
     begin, end = _edges(q)
     tested = 0
-    # Most motions that touch something do so here, and a test costs a fiftieth of a bound.
+    # Most motions that touch something do so at these instants, and a test costs a fiftieth of a bound.
     _test(arm, step, cubics, begin)
     while len(begin):
         check_time()
@@ -243,7 +242,7 @@ def proved_clearance(
         if done[worst] and least[worst] < bound:
             bound, time = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
             pair = tuple(pairs[worst].tolist())
-        # What may touch in the middle cannot be proved; of errors that vary slowly, in no part.
+        # Where the middle may touch there is no proof, nor in any part if it may because of errors, which vary slowly.
         last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < coarse)) | (measured > 4 * (_MOST + len(t)))
         last &= ~done
         doubtful = next(map(tuple, pairs[last].tolist()), doubtful)
@@ -251,7 +250,7 @@ def proved_clearance(
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
-    # An instant of contact is no stretch.
+    # Without any time that is proved, up to rounding, there is no bound.
     bound = bound if proved > 1e-9 else -np.inf
     near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
     apart = proved_clearance(arm, t, q, qd, off, far=far, own=False) if others and near and bounds.owns(pair) else None
@@ -259,25 +258,25 @@ def proved_clearance(
 
 
 class ProofAhead:
-    """How far from its beginning a motion is proved to be clear of contact, found interval by interval.
+    """A proof that a motion is clear of contact, which grows from its beginning on, interval by interval.
 
     Args:
         arm, t, q, qd, off: as for `proved_clearance`.
 
     Attributes:
-        pair: names of the geoms that may touch where the proof ends for good; empty while it goes on.
+        pair: names of the geoms that may touch where the proof finally ends; empty while it can go on.
     """
 
     def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats) -> None:
         self._arm, self._step = arm, float(t[1] - t[0])
         self._cubics = Cubics(self._step, q, qd, off)
-        # In the order of time, the next ones last.
+        # The intervals that are left, the earliest last.
         self._left = list(zip(*(edge[::-1].tolist() for edge in _edges(q, 4)), strict=True))
         self.pair: tuple[str, ...] = ()
 
     @property
     def time(self) -> float:
-        """Time up to which no contact is proved [s]; infinite if that is all."""
+        """Time up to which it is proved that nothing touches [s]; infinite once that is the whole motion."""
         return self._step * self._left[-1][0] if self._left else math.inf
 
     def advance(self) -> None:
@@ -297,7 +296,7 @@ class ProofAhead:
 
 
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
-    """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
+    """Begin and end, in steps, of the ``least`` or more intervals into which a motion ``(K, n)`` is first divided."""
     steps = q[1:] - q[:-1]
     way = float(np.sqrt(np.vecdot(steps, steps)).sum())
     count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
@@ -306,7 +305,7 @@ def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
 
 
 def _divided(begin: Floats, end: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Begin and end of the parts of some intervals, four of each, at samples if they are longer than a step."""
+    """Begin and end of the four parts of each chosen interval; they end at samples if it is longer than a step."""
     parts = [np.zeros(1)]
     for a, b in zip(begin[chosen], end[chosen], strict=True):
         if b - a >= _SHORTEST:
@@ -316,7 +315,7 @@ def _divided(begin: Floats, end: Floats, chosen: NDArray[np.bool_]) -> tuple[Flo
 
 
 def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Intervals in order, those that follow on each other as one."""
+    """The sorted intervals, with adjacent ones joined."""
     result: list[tuple[float, float]] = []
     for begin, end in intervals:
         if result and result[-1][1] == begin:
@@ -326,7 +325,7 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:
-    """What bounds an arm's distances, or why nothing does; one for each thread, since it holds data of MuJoCo's."""
+    """The bounds of an arm's distances, or why there are none; one for each thread, since they hold an `MjData`."""
     return _bounds_in(arm, own, threading.get_ident())
 
 

@@ -40,7 +40,7 @@ class JointDemonstrations:
     t: Floats  # ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s]
     q: Floats  # ``(m, K, n)`` joint positions [rad, m]
     units: Floats  # ``(N, 6)`` metres for one unit of each network coordinate, `lever_units`
-    goals_kept: bool = False  # whether each ends at its own goal; else all end at one
+    goals_kept: bool = False  # whether each ends at its own goal; otherwise all end at one
 
     @classmethod
     def load(
@@ -57,7 +57,7 @@ class JointDemonstrations:
 
         A table has n columns in the order of `Arm.joint_names`, or the time and these; a text file may name them, in
         any order, and the time t, time or timestamp. Joints without a range may be recorded within half a turn of zero:
-        they are continued (`numpy.unwrap`).
+        they are unwrapped (`numpy.unwrap`).
 
         Args:
             arm: the arm.
@@ -68,9 +68,9 @@ class JointDemonstrations:
             time_unit: as for `load_demonstrations`.
 
         Raises:
-            FileError: a file cannot be read, or is none of these.
-            InputError: a file is no motion of the arm within its limits, or ends differ by more than 2 % of a joint's
-                range and are not kept.
+            FileError: a file cannot be read, or is not such a table.
+            InputError: a file is no motion of the arm within its limits, or its end differs from the mean end by more
+                than 2 % of a joint's range and goals are not kept.
         """
         as_choice("phase", phase, PHASES)
         kept = as_choice("goals", goals, GOALS) == "kept"
@@ -193,7 +193,7 @@ class JointMotion:
         return self._path(start).timed(self.duration, self.duration / samples, self.law)
 
     def planned(self, start: Floats) -> tuple[Motion, str]:
-        """The motion at the model's time step, slowed down if limits require it, and why if it still breaks one.
+        """The motion at the model's time step, slowed down if limits require it; and the reason if it still breaks one.
 
         Raises:
             InputError: the start cannot be used, or the duration is too long or too short for the time step.
@@ -228,8 +228,8 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
 def _within_limits(arm: Arm, source: str, table: Floats, end: Floats | None) -> Floats:
     """Recorded joint positions ``(K, n)``, or `InputError` if the arm cannot take them.
 
-    Turns of continuous joints, which are often recorded within half a turn of zero, are continued, and whole turns are
-    added so that they end nearest to ``end`` ``(n,)``; by default, where they are within the limits.
+    Continuous joints, which are often recorded within half a turn of zero, are unwrapped. Whole turns are added so that
+    they end nearest to ``end`` ``(n,)`` or, without it, are within the limits.
     """
     table = np.where(arm.continuous, np.unwrap(table, axis=0), table)
     if end is None:

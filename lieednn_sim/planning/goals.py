@@ -46,7 +46,7 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
         for number, entry in enumerate(target):
             yield from _single(arm, entry, f"{what} {number}", outermost=False)
     elif not (isinstance(target, list | tuple) and len(target) == 0):
-        # Who names the joints of a view may have another order in mind.
+        # The message lists the joints, since a view's user may have named them in another order.
         named = what if arm.state is None else f"{what} of {', '.join(arm.joint_names)}"
         several = outermost and isinstance(target, np.ndarray) and target.ndim == 2
         try:
@@ -61,8 +61,9 @@ def candidates(
 ) -> Iterator[Floats]:
     """Joint positions ``(n,)`` with one of the goals, the one that is reached soonest (`least_duration`) first.
 
-    Poses and regions have those of `ik_candidates`. In a set, goals that the arm cannot reach are left out. If a region
-    is to be kept, those that the arm reaches in small steps within it (`path_constraints.followed`) come first.
+    For poses and regions they are those of `ik_candidates`. Goals of a set that the arm cannot reach are left out. If a
+    region is to be kept, the joint positions that the arm reaches in small steps within it
+    (`path_constraints.followed`) come first.
 
     Args:
         arm: the arm, in its scene.
@@ -98,7 +99,7 @@ def candidates(
 
 
 def _followed(arm: Arm, goals: Sequence[Single], start: Floats, path_constraint: TaskSpaceRegion) -> Iterator[Floats]:
-    """Joint positions ``(n,)``, free of contact, in goals that are poses or regions."""
+    """Contact-free joint positions ``(n,)`` that are reached within a region, for goals that are poses or regions."""
     for goal in goals:
         check_time()
         if isinstance(goal, np.ndarray | str):

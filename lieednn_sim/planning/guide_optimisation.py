@@ -1,20 +1,19 @@
 """Optimising a motion: from any first guess to the nearest local optimum of jerk, path length and clearance.
 
-A motion is a quintic B-spline in time with control points C, from rest to rest. In units of the joints' ranges and of
-the straight motion by minimum jerk, J is its squared jerk and E a bound on its squared length, the integral of
-|q'|^2 / s' over the fraction u of the duration, with s(u) the minimum-jerk law. The straight motion has J = E = 1, the
-least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by minimum
-jerk, and the least distance d from everything on the way, the measure is
+A motion is a quintic B-spline in time with control points C, from rest to rest. J is its squared jerk, and E a bound on
+its squared length: the integral of |q'|^2 / s' over the fraction u of the duration, with s(u) the minimum-jerk law.
+With joints in units of their ranges, and J and E in units of the straight minimum-jerk motion, this motion has J = E =
+1, the least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by
+minimum jerk, and the least distance d from everything on the way, the measure is
 
     log(J + E) + beta log(F) - kappa (log(d) - d_0 / d),
 
-where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
-programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
-and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
+where d counts up to its value at start and target, which no motion exceeds. The measure is minimised by sequential
+quadratic programming: at every step MuJoCo's contacts give the distances of all pairs and their gradients, a quadratic
+program in C and d is solved within a trust region, with a Gauss-Newton model of F, and steps that lower it are kept.
 
-If the end effector is to stay in a region, beta and d_0 are 0. The program has the region's bounds, linearised, at a
-few more instants, and what the motion is outside counts in the measure. The samples of the final motion are projected
-onto the region.
+If the end effector is to stay in a region, beta and d_0 are 0, the program also has the region's linearised bounds at a
+few instants, and the measure a penalty for leaving the region. The final motion's samples are projected onto it.
 """
 
 from __future__ import annotations
@@ -35,29 +34,29 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues its term, so that contact is left first
-_NEAR = 0.005  # the clearance d_0 [m], at which twice the clearance is worth twice as much as far away
+_TOUCHING = 2.5e-3  # clearance [m] below which its term is continued by a steep line, so that contact is left first
+_NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as much as far away
 _EFFECTOR = 0.05  # beta, the weight of the end effector's jerk
-_SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
-# Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
-# as when whole links are inside of obstacles, the deepest count.
+_SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
+# Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
+# takes cubic time. Of more, as when whole links are inside of obstacles, only the deepest count.
 _DEEPEST = 600
 
-# Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs.
+# Instants ``(C,)`` of near pairs, their distances [m], and slopes ``(C, n)`` of these in units of the ranges.
 _Near = tuple[NDArray[np.int_], Floats, Floats]
 
 
 class GuideOptimisation:
-    """Descent for one problem; guesses and results are free control points ``(F, n)`` in units of the ranges.
+    """The optimisation for one problem; guesses and results are free control points ``(F, n)`` in units of the ranges.
 
     Args:
         problem: start and target.
         sweep: ``(n,)`` largest distance that a unit of each joint moves a link frame (`joint_space.sweeps`).
-        ends: least distance of start and target from everything [m], the largest clearance that counts.
+        ends: least distance of start and target from everything [m]; more clearance than that does not count.
         weight: kappa, the weight of clearance.
         intervals: number of intervals of the spline.
         instants: number of instants at which distances are measured.
-        own: whether distances of the arm from itself count; without them a step takes a fraction of the time.
+        own: whether the arm's distances from itself count; without them a step takes a fraction of the time.
 
     Attributes:
         straight: ``(F, n)`` the minimum-jerk motion.
@@ -77,7 +76,7 @@ class GuideOptimisation:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
         self._near = _NEAR if problem.path_constraint is None else 0.0
-        # Distances between instants are less; 0.15 m is ample.
+        # A reserve of a tenth, since distances between the instants may be less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
         self._slopes = ContactSlopes(arm, self._enough + 0.03, own=own)
@@ -89,7 +88,7 @@ class GuideOptimisation:
         self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
         # Three control points at each end are fixed by its position and zero velocity and acceleration.
         self._free = slice(3, -3)
-        # As many instants as free control points, which can then keep all bounds there.
+        # As many instants as free control points, so that these can keep all bounds there.
         self._kept_rows = self._basis(np.arange(1.0, count - 5.0) / (count - 5.0))
         start, target = problem.start / arm.ranges, problem.target / arm.ranges
         self._ends = np.zeros((count, arm.n_joints))
@@ -99,29 +98,29 @@ class GuideOptimisation:
         u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
         rate, jerk = (self._basis(u, nu=nu) for nu in (1, 3))
         share = np.tile(weights, intervals)[:, None] / (2 * intervals)
-        # F is that of the spline through the effector's places at these times, within 2 %. Differences of the places
-        # would be a third of it: they do not see what is between them, and a descent goes there.
+        # F is computed, within 2 %, from the spline through the effector's positions at these times. Finite differences
+        # of the positions would be a third of it: a descent exploits that they ignore what is between them.
         even = np.linspace(0.0, 1.0, 3 * intervals + 1)
         self._even_rows = self._basis(even)
         self._thirds = make_interp_spline(even, np.eye(len(even)), SPLINE_DEGREE)(u, nu=3) * np.sqrt(share / 720.0)
-        # At rest it is zero, and the bound on the length is divided by it.
+        # The bound on the length is divided by the speed, which is zero at rest.
         speed = np.maximum(minimum_jerk_law(u)[1], 0.02)[:, None]
-        # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
+        # A unit displacement has a squared jerk of 720. The unit is the straight way, or 0.1 of the joint space.
         unit = max(float(np.linalg.norm(target - start)), 0.1 * math.sqrt(arm.n_joints))
         self._quadratic = (jerk.T @ (jerk * share) / 720.0 + rate.T @ (rate * share / speed)) / unit**2
         self._hessian = self._quadratic[self._free, self._free]
-        # Of all joints, one after another, and of one more variable.
+        # The Hessian for all joints, one after another, and one more variable, the clearance.
         self._program = np.pad(np.kron(np.eye(arm.n_joints), self._hessian), (0, 1))
         self.straight = -np.linalg.solve(self._hessian, self._quadratic[self._free] @ self._ends)
         low, high = (arm.position_limits / arm.ranges[:, None]).T
-        # A little inside the limits, if start and target are.
+        # Bounds are a little inside the limits, if start and target are.
         self._low = np.minimum(low + 0.005, np.minimum(start, target))
         self._high = np.maximum(high - 0.005, np.maximum(start, target))
-        # A joint through the origin of the last frame moves no frame; only its limits bound its steps.
+        # A joint whose axis goes through the origin of the last frame moves no frame; only its limits bound its steps.
         self._sweep = np.maximum(sweep * arm.ranges, 1e-9)
 
     def near(self, corners: Floats) -> Floats:
-        """The spline near a polyline ``(M, n)`` that is followed by minimum jerk, smoothed a little."""
+        """The slightly smoothed spline near a polyline ``(M, n)`` that is followed by the minimum-jerk law."""
         points = corners / self._scale
         length = travelled(points)
         u = np.linspace(0.0, 1.0, 200)[1:-1]
@@ -133,7 +132,7 @@ class GuideOptimisation:
         return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
 
     def near_constraint(self, free: Floats) -> Floats:
-        """The spline near the projections of a motion's positions onto the region that is kept; itself without one."""
+        """The spline through projections of a motion's positions onto the region to keep; ``free`` without a region."""
         if (region := self._problem.path_constraint) is None:
             return free
         q = projected(self._problem.arm, self._scale * (self._kept_rows @ self._control(free)), region)
@@ -154,9 +153,9 @@ class GuideOptimisation:
         return smooth - self._weight * away + 30.0 * self._beyond(free)
 
     def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
+        """The measure, the control points, and whether these are usable, after up to so many steps from a guess."""
         kept = self._problem.path_constraint is not None
-        # Rough ones have half of the instants and leave F out. Large steps would leave a region that is kept.
+        # A rough descent uses half of the instants, and no F. Large steps would leave a region that is kept.
         every, enough, wider = (1, 1e-3, 1.5) if kept else (2, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
         jerk_of = self._effector_jerk if not (rough or kept) else lambda _: (1.0, np.zeros(1), np.zeros(1))
         distances, jerk = self._distances(free, every), jerk_of(free)
@@ -178,11 +177,11 @@ class GuideOptimisation:
                     break
                 trust *= wider
             else:
-                # A step that ended inside the region would be the same in a region that it fits in.
+                # A step inside the trust region would be found again, unless the region becomes smaller than the step.
                 trust = 0.4 * min(trust, float((np.abs(new - free) * self._sweep).max()))
                 if trust < 5e-3:
                     break
-        # The projection of a motion that leaves the region by less on average is near it [m, rad].
+        # If the motion leaves the region by less than 0.01 on average [m, rad], its projection is near it.
         return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
@@ -197,7 +196,7 @@ class GuideOptimisation:
         progress = minimum_jerk_law(u)[0]
         if problem.path_constraint is not None:
             q = projected(problem.arm, q, problem.path_constraint)
-            # The ends are in the region up to the accuracy of inverse kinematics.
+            # The projection may move the ends by the accuracy of inverse kinematics; they are put back.
             q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
             qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
         motion = joint_motion(problem, q, qd / t[-1], progress, guiding=True)
@@ -222,9 +221,9 @@ class GuideOptimisation:
         return control
 
     def _effector_jerk(self, free: Floats) -> tuple[float, Floats, Floats]:
-        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another."""
+        """F, half its gradient and half its Gauss-Newton Hessian in the free points, one joint after another."""
         q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
-        # At the instants, and with each joint moved by a little of its range.
+        # The tip's positions at the instants, and with each joint moved by a little of its range.
         tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
         slope = (tip[:, 1:] - tip[:, :1])[..., None] / h * self._even_rows[:, None, None, self._free]
         jerk = (self._thirds @ tip[:, 0]).ravel()
@@ -238,11 +237,11 @@ class GuideOptimisation:
     def _step(
         self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats], clearance: float, trust: float
     ) -> tuple[Floats, float]:
-        """The control points after the quadratic program's step in the trust region, and what it expects to gain."""
+        """The control points after the quadratic program's step in the trust region, and the gain that it expects."""
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep
         instant, distance, slope = near
-        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y.
+        # The last variable y is the relative change of the clearance: -log(1 + y) is about y^2 / 2 - y.
         known = min(max(clearance, _TOUCHING), self._enough)
         most = min(1.0, self._enough / known - 1.0)
         reached = distance - known * (1.0 + most) < np.abs(slope) @ radius
@@ -274,7 +273,7 @@ class GuideOptimisation:
             rows = np.concatenate([rows, kept])
             upper, lower = (np.concatenate([side, -excess[instant, bound]]) for side in (upper, lower))
         sense = np.zeros(len(upper), dtype=np.int32)
-        # DAQP's mark of soft constraints.
+        # DAQP marks soft constraints by 8.
         sense[n * count + 1 :] = 8
         linear = np.append(pull, -(1.0 + near_by) * value)
         change, least, *_ = daqp.solve(hessian, linear, rows, upper, lower, sense, rho_soft=1e-6)

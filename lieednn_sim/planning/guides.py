@@ -1,9 +1,9 @@
 """The guide of a shaped network: a motion that is short, smooth and clear of everything, found quickly.
 
-Candidates are optimised (`guide_optimisation`), and the one with the least measure is the guide. They are the straight
-motion, though it touches something, and the paths of a few searches by RRT-Connect with balanced trees (`trees`),
-shortened. All work is counted in configurations tested and steps, so a guide depends on no clock and, unless everything
-fails, on no optional library.
+Candidates are optimised (`guide_optimisation`), and the one with the least measure is the guide. The candidates are the
+straight motion, even if it touches something, and the shortened paths of a few searches by RRT-Connect with balanced
+trees (`trees`). All work is limited by numbers of tested configurations and of steps, so that a guide depends on no
+clock and, unless everything fails, on no optional library.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class GuideOptions(PlannerOptions):
     """Options for the guide's motion, which the planner ``lieednn-shaped`` follows.
 
     Attributes:
-        optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
-        clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
-            worth 0.7 kappa of the sum of jerk and path length, and more where it is a few millimetres.
+        optimised: whether to optimise candidates; else the guide is RRT-Connect's motion if minimum jerk is not free.
+        clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: doubling the clearance
+            is worth a fraction 0.7 kappa of the sum of jerk and path length, and more where it is a few millimetres.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
-        margin: clearance of paths, reduced where start or target is closer to something [m].
-        spacing: largest distance that a link frame moves between configurations tested in a search, about [m].
+        margin: clearance of the searched paths, reduced where start or target is closer to something [m].
+        spacing: about the largest distance that a link frame moves between configurations tested in a search [m].
         longest_edge: longest edge that a tree grows, as a fraction of the joint space's diagonal.
         shortcuts: number of shortcuts tried on a path.
         intervals: number of intervals of the optimised splines.
         instants: number of instants at which distances from obstacles are measured in a step of the optimisation.
         steps: largest number of steps of an optimisation.
-        search: options of RRT-Connect, which is asked if no candidate can be followed.
+        search: options of RRT-Connect, which is run if no candidate can be followed.
     """
 
     optimised: bool = True
@@ -68,18 +68,18 @@ class GuideOptions(PlannerOptions):
 def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[Plan], Plan], seeds: int = 1) -> Plan:
     """The plan that follows the first guide that can be followed.
 
-    A guide's plan has the name of the planner whose motion it is, with ", optimised" if it was. Minimum jerk comes
+    A guide's plan has the name of the planner that found it, with ", optimised" appended if it was. Minimum jerk comes
     first: no motion is shorter or smoother. Then come the optimised candidates, those with the least measure first, and
-    at last RRT-Connect's motion, which keeps the limits, as the others do; of contact guides are free at some samples.
-    Where that search is to be the fastest (`SmoothingOptions.fastest`), slow motions along its curves come before it.
+    at last RRT-Connect's motion. All of them keep the limits, but are tested for contact at some samples only. Where
+    the fastest motion is sought (`SmoothingOptions.fastest`), slow motions along RRT-Connect's curves come before it.
 
     Args:
         problem, options: the problem, and how guides are found.
         follow: makes a checked plan that follows a guide, or raises `PlanError`.
-        seeds: largest number of seeds with which guides are looked for, while there are some that cannot be followed.
+        seeds: largest number of seeds to look for guides with, as long as none of those found can be followed.
 
     Raises:
-        LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
+        LieEDNNError: RRT-Connect is run, but OMPL is not installed.
         PlanError: no guide finds a motion that can be followed; the message has the reason of each.
     """
     begin = cpu_time()
@@ -101,14 +101,14 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
 
 
 def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
-    """Names of planners, each with a function that makes a guide's motion, in the order in which they are asked."""
+    """Names of planners, each with a function that makes a guide's motion, in the order in which they are tried."""
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
         search = _Search(problem, options)
         for _, name, optimisation, guess in sorted(search.optimised(), key=itemgetter(0)):
             free = guess if search.constrained else optimisation.descend(guess, options.steps)[1]
             yield f"{name}, optimised", partial(in_time, optimisation.motion, problem, free)
-            # A finer optimisation from there keeps clear where the former does not.
+            # If the result touches something, a finer optimisation that starts from it can still keep clear.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
         rrt, path = options.search, partial(sampling.paths, problem, options.search, "rrt-connect")
@@ -124,7 +124,7 @@ def _straight(problem: PlanningProblem) -> Motion:
     """The motion by minimum jerk, in the region to keep, if any."""
     if problem.path_constraint is not None:
         some = np.linspace(problem.start, problem.target, 200)
-        # A small part of what is allowed; the rest is for the network that follows it.
+        # The straight motion may use a small part of the tolerance; the rest is for the network that follows it.
         if outside(problem.arm, problem.path_constraint, some) > 0.01:
             raise PlanError("the straight motion leaves the region to keep")
     return in_time(partial(interpolation.minimum_jerk, guiding=True), problem)
@@ -140,7 +140,7 @@ class _Search:
         self.ends = workspace.ends
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
-        """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
+        """An optimisation; with the arm's ``own`` distances it has twice the instants and costs many times as much."""
         return GuideOptimisation(
             self.problem,
             self.edges.swept / self.edges.scale,
@@ -156,28 +156,28 @@ class _Search:
         optimisation = self.optimisation(own=False)
         for name, guess in self.guesses(optimisation):
             guess = optimisation.near_constraint(guess)
-            # Roughly, until it is clear which is best.
+            # A rough descent suffices to find out which candidate is best.
             measure, free, clear = optimisation.descend(guess, self.options.steps, rough=not self.constrained)
             if clear:
                 yield measure, name, optimisation, free
-                # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.
+                # No motion costs less than 2, as the straight one does. If a region is kept, any clear motion will do.
                 if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
                     break
 
     def finer(self, free: Floats) -> Motion:
-        """The motion of an optimisation from there at more instants, with distances of the arm from itself."""
+        """The motion of an optimisation from ``free`` on, at more instants and with the arm's distances from itself."""
         optimisation = self.optimisation(own=True)
         return in_time(optimisation.motion, self.problem, optimisation.descend(free, self.options.steps)[1])
 
     def guesses(self, optimisation: GuideOptimisation) -> Iterator[tuple[str, Floats]]:
-        """The straight motion, and those near paths that are searched for, each with its planner's name."""
+        """The straight motion, and motions near the paths of searches, each with its planner's name."""
         yield "minimum-jerk", optimisation.straight
         for attempt in range(self.options.searches):
             if (corners := self.path(attempt)) is not None:
                 yield "rrt-connect", optimisation.near(corners)
 
     def path(self, attempt: int) -> Floats | None:
-        """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
+        """Corners ``(M, n)`` of a shortened path, or None; each attempt has its own seed and number of tests."""
         problem, options, edges = self.problem, self.options, self.edges
         region, weight, checks = problem.path_constraint, edges.weight, options.collision_checks
         box, scale, clear = weight[:, None] * edges.bounds, edges.scale / weight, edges.weighted()
@@ -188,7 +188,7 @@ class _Search:
             bounds=box,
             longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
             clear=clear,
-            # A projection takes as long as five tests.
+            # With a region, each test includes a projection, which takes as long as five tests.
             over=partial(edges.over, (attempt + 1) * (checks if region is None else checks // 5)),
             seed=search,
             onto=None if region is None else lambda at: projected(problem.arm, (scale * at)[None], region)[0] / scale,
@@ -203,7 +203,7 @@ class _Search:
 def shortened(
     corners: Floats, clear: Callable[[Floats, Floats], bool], attempts: int, rng: np.random.Generator
 ) -> Floats:
-    """A path with corners ``(M, n)`` after attempts to connect two random points of it by a straight edge.
+    """Shorten a path with corners ``(M, n)`` by attempts to connect two random points of it by a straight edge.
 
     The points are drawn evenly along the path; ``clear`` returns whether the edge between two clear points is clear.
     """

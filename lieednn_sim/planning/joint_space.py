@@ -13,8 +13,8 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only, weakly_cached
 
-# Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
-# where the spline is one in time.
+# Degree of the planners' splines. Derivatives up to the fourth are continuous: curvature is smooth, and so is jerk,
+# where the spline's parameter is time.
 SPLINE_DEGREE = 5
 
 
@@ -37,7 +37,7 @@ class ClearanceTest:
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None.
 
-        One beyond the arm's stops, or at which loops cannot be closed, counts as well.
+        A position beyond the arm's stops, or at which loops cannot be closed, counts as well.
         """
         positions = self._arm.to_qpos(q, strict=False)
         beyond = self._beyond(positions)
@@ -118,15 +118,15 @@ def joint_motion(
         qd: ``(K, n)`` [rad/s, m/s], zero at both ends up to rounding.
         progress: ``(K,)`` from 0 to 1.
         checked: whether limits and contact are checked.
-        guiding: whether a network is to follow it, whose own motion counts: then contact is looked for at some samples,
-            as are the limits, and states are interpolated between some, to a nanometre.
+        guiding: whether a network is to follow the motion, whose own motion will be checked: then contact and limits
+            are checked at some samples only, and states interpolated between some, to a nanometre.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
     arm, t = problem.arm, problem.times()
     q, qd = (as_floats(name, value, (len(t), arm.n_joints)).copy() for name, value in (("q", q), ("qd", qd)))
-    # With exact ends: rounding might miss them, and exceed a limit there.
+    # The ends are set exactly, since rounding could exceed a limit there.
     q[0], q[-1], qd[[0, -1]] = problem.start, problem.target, 0.0
     if checked and not guiding:
         check_joints(arm, t, q, qd)

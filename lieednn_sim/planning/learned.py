@@ -1,9 +1,8 @@
-"""Motions of an end effector that were learned from recordings, on an arm.
+"""Motions of an end effector that were learned from recordings, planned for an arm.
 
-The end effector follows the learned poses, up to 0.5 mm and 0.1 degrees; joint positions with them are found from each
-to the next by Newton's method, from several solutions of the inverse kinematics at the first one. The motion of the
-joints, with the recordings' time law, is the guide of a network of the arm (`planning.shaped`), with its own
-certificate.
+The end effector follows the learned poses up to 0.5 mm and 0.1 degrees. Joint positions are found from one pose to the
+next by Newton's method, starting from several solutions of the inverse kinematics at the first pose. The joint motion,
+with the recordings' time law, is the guide of a network of the arm (`planning.shaped`), with its own certificate.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from lieednn_sim.planning.time_laws import recorded_law, retime
 from lieednn_sim.validation import Seed, as_floats, as_seed
 from lieednn_sim.values import Floats
 
-#: The name of such a guide in `Plan.guide`.
+#: The planner's name in `Plan.guide` for a learned motion.
 LEARNED = "learned motion"
 _REMEDY = (
     "give another goal or start (goal, start; --position, --pose, --start), or leave the orientation free where it was "
@@ -54,11 +53,10 @@ def plan_learned(
     Args:
         arm: the arm, in its scene.
         learned: the motion, from `ShapedMotion.fit` or `LearnedMotion.load`.
-        start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name, from which the end effector goes as it
-            was learned; by default one where the recordings began.
-        goal: pose of the end effector at the end in the world, or its position ``(3,)`` [m], with the rotation of the
-            recordings' end; by default that of the recordings.
-        turning: whether the end effector turns as was recorded, if it was; else its orientation is free.
+        start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name; by default where the recordings began.
+        goal: final pose of the end effector in the world, or its position ``(3,)`` [m] with the rotation at the
+            recordings' end; by default the pose at their end.
+        turning: whether the end effector turns as recorded, if orientations were recorded; otherwise they are free.
         duration: as for `plan`; by default that of the recordings, and at most three times as long.
         fastest: as for `plan`.
         seed: seed of the inverse kinematics.
@@ -111,7 +109,7 @@ def _starts(arm: Arm, region: TaskSpaceRegion, seed: Seed) -> list[Floats]:
 
 def _followed(arm: Arm, start: Floats, regions: list[TaskSpaceRegion]) -> Floats:
     """Joint positions ``(K, n)`` in regions in turn, each near the one before; the first one is ``start``."""
-    # A little inside the limits, which the network's path could pass where this one bends at them.
+    # Keep a little inside the limits, since the network's path could exceed them where this path bends at them.
     (low, high), inset = arm.position_limits.T, 0.005 * arm.ranges
     bounds = np.stack([np.minimum(low + inset, start), np.maximum(high - inset, start)], axis=1)
     arm, path = replace(arm, position_limits=bounds), [start]

@@ -1,9 +1,9 @@
-"""How near what hangs comes to what does not move, while it swings by the linear model of the passive joints.
+"""How near a hanging load comes to what does not move, while it swings by the linear model of the passive joints.
 
-With these joints as coordinates the load is moved by an arm, whose distances are bounded at every instant as those of
-any motion (`clearance`), with what the linear model may be off as the joints' deviation (`SwingModel.swing`). Before
-the motion the load hangs at rest; after it a period of the slowest oscillation is looked at. The arm's own joints are
-where they are planned.
+The passive joints are taken as further joints of an arm, whose distances are bounded at every instant as for any motion
+(`clearance`); the error of the linear model (`SwingModel.swing`) is taken as a deviation of the joints. Before the
+motion the load hangs at rest; after it, one period of the slowest oscillation is checked. The arm's own joints are
+where they are planned to be.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from lieednn_sim.values import Floats
 
 
 def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Clearance | None:
-    """What is proved of the distances of what hangs, at most 0.1 m or the arm's clearance; None if nothing swings.
+    """The proved clearance of a hanging load, up to 0.1 m or the arm's clearance; None if nothing swings.
 
-    It swings as the motion makes it, or would hang at rest all the way.
+    The load swings as the motion drives it or, if not ``swinging``, hangs at rest all the way.
     """
     passive = PassiveJoints(arm)
     if not passive.bodies.any() or np.ptp(motion.q, axis=0).max() <= 1e-8:
@@ -42,16 +42,16 @@ def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Cleara
         if not swinging:
             rows, off = model.hung(law(t)), 0.0 * off
         return min(_bounds(passive, t, rows, off), key=lambda each: (each.proved, each.bound))
-    except (InputError, NoSolutionError) as error:  # it rests nowhere, or its joints are no arm's
+    except (InputError, NoSolutionError) as error:  # no position of rest, or its joints form no arm
         return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]], 0.0, f"no proof of clearance: {error}")
 
 
 def check_load(arm: Arm, motion: Motion) -> None:
-    """Check that what hangs keeps the arm's clearance; arguments are as for `load_clearance`.
+    """Check that a hanging load keeps the arm's clearance; arguments are as for `load_clearance`.
 
     Raises:
-        TooFastError: it does not, since it swings; slower it swings less.
-        PlanError: it does not though it hangs at rest. Both messages name what, near to what, and when.
+        TooFastError: it comes too near as it swings; in a slower motion it swings less.
+        PlanError: it comes too near even if it hangs at rest. Both messages name the two parts and the time.
     """
     for swinging in (True, False):
         found = load_clearance(arm, motion, swinging=swinging)
@@ -67,9 +67,9 @@ def check_load(arm: Arm, motion: Motion) -> None:
 
 
 def _bounds(passive: PassiveJoints, t: Floats, rows: Floats, off: Floats) -> list[Clearance]:
-    """The bound of each end of what hangs at positions ``(K, nq)`` from which passive joints may be off ``(K, m)``.
+    """The clearance of each hanging end, at positions ``(K, nq)`` that passive joints may miss by ``(K, m)``.
 
-    The joints on the way there are an arm, in a model in which it alone collides.
+    The joints on the chain to each end form an arm, in a model in which only this chain collides.
     """
     arm, model, found = passive.arm, passive.load_model, []
     moving = model.dof_jntid[[*arm.space.own_rate_addresses, *passive.dofs]]
@@ -87,7 +87,7 @@ def _bounds(passive: PassiveJoints, t: Floats, rows: Floats, off: Floats) -> lis
         q, balls, error = view.coordinates(rows), view.space.balls, np.zeros((len(rows), model.nv))
         error[:, passive.dofs] = off
         error = error[:, view.space.own_rate_addresses]
-        # Rotation vectors of less than half a turn change by at most so much more than what is turned.
+        # A rotation vector of less than half a turn changes by at most pi / 2 times what the rotation changes.
         error[:, balls] = 0.5 * np.pi * np.linalg.norm(error[:, balls], axis=-1, keepdims=True)
         rates = np.gradient(q, t[1], axis=0)
         found.append(proved_clearance(view, t, q, rates, error, far=max(FAR, 1.1 * arm.clearance)))

@@ -1,10 +1,10 @@
-"""Whether a run is inside the proof of its plan's clearance, told while it goes on.
+"""Whether a run stays within the proof of its plan's clearance, checked while it goes on.
 
-Before the run it is found, for intervals of the motion, by how much the joints may be off without any contact. An
-instant within that costs a comparison. Beyond it the bound is evaluated once more, for the errors as they are.
+Before the run, it is computed for intervals of the motion by how much the joints may be off without any contact. At an
+instant within that a comparison is enough; beyond it, the bound is evaluated again for the actual errors.
 
-What is said is of measured joints, however they were disturbed. Between two instants their errors are taken to be no
-larger than the larger ones of both.
+The statements are about measured joints, however they were disturbed. Between two instants, each joint's error is
+assumed to be no larger than the larger one of the two.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ClearanceMonitor:
 
     Attributes:
         clearance: what is proved of the motion itself.
-        edges: ``(I + 1,)`` between the intervals, in steps of the motion.
+        edges: ``(I + 1,)`` boundaries of the intervals, in steps of the motion.
         allowed: ``(I,)`` largest Euclidean norm of the joints' errors in each interval [rad, m]; 0 if there is none.
     """
 
@@ -55,19 +55,19 @@ class ClearanceMonitor:
         return monitor
 
     def holds(self, q: Floats) -> bool:
-        """Whether joints ``(n,)`` are as near to the motion as is proved to be clear, at whatever instant of it."""
+        """Whether joints ``(n,)`` are so near to some instant of the motion that they are proved to be clear."""
         off, length = q - self._middle, np.square(self._way).sum(axis=1)
         along = np.clip((off * self._way).sum(axis=1) / np.maximum(length, 1e-300), -1.0, 1.0)
         left = np.maximum(np.abs(off - along[:, None] * self._way) - self._rest, 0.0)
         return bool((np.linalg.norm(left, axis=1) < self.allowed).any())
 
     def left(self, at: float, q: Floats, qpos: Floats | None = None) -> str:
-        """Why a run is outside between the instant of the last call and this one; empty while it is inside.
+        """Why a run left the proof between the instant of the last call and this one; empty while it is inside.
 
         Args:
             at: time since the motion began, in its steps; no earlier than in the last call.
             q: ``(n,)`` measured joints [rad, m].
-            qpos: ``(nq,)`` where everything in the model is, if that is known.
+            qpos: ``(nq,)`` positions of everything in the model, if they are known.
         """
         leaves = f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s:"
         if qpos is not None and moved_besides(self._arm, q, qpos):
@@ -88,7 +88,7 @@ class ClearanceMonitor:
         least, pairs = bounds.least(middle, way, rest, NEAR)
         if least[0] > 0.0:
             return ""
-        # The joint without whose error the bound would be largest.
+        # The joint to blame: the one without whose error the bound would be largest.
         n = len(q)
         without, _ = bounds.least(middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
         joint, near = int(without.argmax()), ""
@@ -101,6 +101,6 @@ class ClearanceMonitor:
 
 
 def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
-    """Whether anything is elsewhere in positions ``(..., nq)`` than the arm's joints ``(..., n)`` have it."""
-    most = 1e-3  # such as a finger that its servo holds [m, rad]
+    """Whether positions ``(..., nq)`` differ from those that the arm's joints ``(..., n)`` imply."""
+    most = 1e-3  # tolerance, for example for a finger that its servo holds [m, rad]
     return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())

@@ -16,8 +16,8 @@ from lieednn_sim.planning.statics import check_forces
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, StrPath, check_fields, frozen
 
-LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
-JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
+LIMIT_TOLERANCE = 1e-6  # how far positions may exceed a limit [rad, m]: a target on it is reached up to the residual
+JUMP = 0.02  # largest part of a step between samples that the velocities do not explain [rad, m]
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
 
@@ -32,8 +32,8 @@ class Motion:
         xi_target: ``(N, 6)`` their states at the equilibrium.
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` joint velocities [rad/s, m/s].
-        gap_translation: ``(K, N)`` mechanism gap, the distance of the poses from those that the joints can take [m].
-        gap_rotation: ``(K, N)`` mechanism gap as an angle [rad].
+        gap_translation: ``(K, N)`` mechanism gap: the distance of the poses from those that the joints can take [m].
+        gap_rotation: ``(K, N)`` the mechanism gap in rotation [rad].
     """
 
     t: Floats
@@ -73,7 +73,7 @@ class Motion:
         return float(self.t[1] - self.t[0])
 
     def ends(self, pieces: int) -> NDArray[np.int_]:
-        """The samples at the ends of so many even pieces, or all; see `interpolation`."""
+        """Indices of the samples at the ends of ``pieces`` even pieces, or of all samples; see `interpolation`."""
         return interpolation(len(self.t), pieces)[0]
 
     def save(self, path: StrPath) -> None:
@@ -82,7 +82,7 @@ class Motion:
 
     @classmethod
     def load(cls, path: StrPath) -> Motion:
-        """Read a file of `save`; raise `FileError` if it is not one."""
+        """Read a file that `save` wrote; raise `FileError` if it is not one."""
         arrays, _ = io.load_arrays(path, "motion")
         names = tuple(cls.__dataclass_fields__)
         try:
@@ -100,7 +100,7 @@ def count_steps(duration: float, timestep: float) -> int:
 
 
 def steps_of_rate(what: str, rate: float, timestep: float) -> int:
-    """Number of simulation steps in a period of a control rate [Hz]; `InputError` if that is no whole number.
+    """Number of simulation steps in one period of a control rate [Hz]; `InputError` unless it is a whole number.
 
     A rate may be rounded to six digits, as messages print it.
     """
@@ -127,10 +127,10 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     faster.
     """
     distance, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
-    # Missing limits are infinite; large finite ones have the same effect.
+    # Missing limits are infinite, which the formulas cannot use; large finite ones have the same effect.
     a, j = np.minimum(a, 1e60), np.minimum(arm.jerk_limits, 1e300)
     ramped = a * (a / j)
-    # The speed for which the motion consists of the two ramps alone.
+    # The peak speed of a motion that consists of the two ramps alone.
     long, short = 0.5 * (np.sqrt(ramped**2 + 4.0 * a * distance) - ramped), np.cbrt(0.25 * distance**2 * j)
     peak = np.minimum(v, np.where(distance * j >= 2.0 * a * ramped, long, short))
     ramp = np.where(peak >= ramped, peak / a + a / j, 2.0 * np.sqrt(peak / j))
@@ -139,9 +139,9 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
 
 @lru_cache(maxsize=8)
 def interpolation(count: int, pieces: int) -> tuple[NDArray[np.int_], csr_array]:
-    """Ends of so many even pieces, of so many samples, and the matrix that makes all samples from those there.
+    """Indices of the ends of even pieces of ``count`` samples, and the matrix that interpolates all samples from these.
 
-    It holds Lagrange's polynomials through the six next to a sample; its product takes a fifth of a spline's time.
+    It holds Lagrange's polynomials through the six ends next to each sample, and takes a fifth of the time of a spline.
     """
     known = np.unique(np.linspace(0, count - 1, min(count, pieces + 1)).round().astype(int))
     at, size = np.arange(count), min(6, len(known))
@@ -153,7 +153,7 @@ def interpolation(count: int, pieces: int) -> tuple[NDArray[np.int_], csr_array]
 
 
 def joint_scale(arm: Arm) -> Floats:
-    """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
+    """Units ``(n,)`` of the joints for path lengths: the velocity limit times 1 s, or the range where it is missing."""
     return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
 
 
@@ -164,15 +164,15 @@ def travelled(points: Floats) -> Floats:
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:
-    """Check a motion as `check_joints` does; it may leave what is near at its start (`Arm.leaving`)."""
+    """Check a motion as `check_joints` does; it may begin too near to something if it leaves it (`Arm.leaving`)."""
     check_joints(arm.leaving(motion.q[0])[0], motion.t, motion.q, motion.qd)
 
 
 def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
     """Velocities, accelerations and jerks from rates ``(K, n)``, each with its limits ``(n,)`` and a power.
 
-    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T. So if one exceeds its limit by a factor r, the
-    duration T times r to this power keeps the limit.
+    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T. So if one exceeds its limit by a factor r, a duration
+    of T times r to this power keeps the limit.
     """
     acceleration = np.diff(qd, axis=0) / timestep
     jerk = np.diff(acceleration, axis=0) / timestep
@@ -186,7 +186,7 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """Check the limits of a motion as `check_limits` does, its forces (`statics.check_forces`), and its clearance.
 
-    Raises what these do, and `clearance.check_clearance`; `TooFastError` also where only forces are beyond a limit.
+    Raises what these and `clearance.check_clearance` raise; `TooFastError` also if only forces are beyond a limit.
     """
     cubics = Cubics(t[1] - t[0], q, qd)
     check_limits(arm, t, q, qd, cubics)
@@ -200,22 +200,23 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check limits of position, velocity, acceleration and jerk along a motion.
 
-    Positions and velocities at all instants, by the extrema of the cubics between samples; accelerations as the mean
-    over each step. Where a law of time switches within a step, the cubic's own passes that by up to a third.
+    Positions and velocities are checked at all instants, by the extrema of the cubics between samples, but
+    accelerations as the mean over each step. Where a time law switches within a step, the cubic's own acceleration
+    exceeds this mean by up to a third.
 
     A motion that jumps from one sample to the next is refused: where two configurations are equally near to the
-    network's state, the nearest one changes abruptly, and joints cannot follow.
+    network's state, the nearest one changes abruptly, and the joints cannot follow.
 
     Args:
         arm, t, q, qd, cubics: as for `clearance.check_clearance`.
 
     Raises:
-        TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.
+        TooFastError: only velocity, acceleration or jerk is too high; the error has the duration that keeps the limits.
         PlanError: another check fails; the message names the joint or bodies, the value and the bound.
     """
     timestep = t[1] - t[0]
     _check_positions(arm, t, q)
-    # Jumps, which no duration mends.
+    # Jumps come before rates, since no longer duration mends them.
     step, unexplained = unexplained_steps(t, q, qd)
     unexplained -= np.minimum(JUMP, timestep * arm.velocity_limits)
     k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
@@ -245,9 +246,9 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | No
 
 
 def unexplained_steps(t: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-    """Steps ``(K - 1, n)`` between samples, and what they have beyond twice what the rates at their ends explain.
+    """Steps ``(K - 1, n)`` between samples, and their excess over twice what the rates at their ends explain.
 
-    Where that is large, a step leads to another of two configurations that are equally near to a network's state.
+    Where the excess is large, a step leads to another of two configurations that are equally near to a network's state.
     """
     step, speed = np.abs(np.diff(q, axis=0)), np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
     return step, step - 2.0 * np.diff(t)[:, None] * speed

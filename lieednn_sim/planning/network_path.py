@@ -1,12 +1,11 @@
 """From a network to a joint trajectory that starts and ends at rest and takes a stated duration.
 
-In the network's own time tau, its velocity starts with a step, and it converges exponentially without arriving in
-finite time. A robot can do neither. So only the path q(tau) of the network is kept. The motion follows it by a
-minimum-jerk law of its length l, l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, and more slowly where it
-turns sharply. The length combines joint velocities, in units of their limits, with the rate of convergence: where
-joints reverse, their velocity passes through zero, and with a length of the joints alone they would reverse at once.
-The path ends where the network is within `RESIDUAL` of its equilibrium. That of a universal network is known in closed
-form, so that nothing is integrated.
+In its own time tau, a network starts with a step of velocity, and converges exponentially without arriving in finite
+time. A robot can do neither. So only the path q(tau) of the network is kept. The motion follows it by a minimum-jerk
+law of its length l, l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, and more slowly where it turns sharply.
+The length combines joint velocities, in units of their limits, with the rate of convergence: where joints reverse,
+their velocity passes through zero, so with a length of the joints alone they would reverse abruptly. The path ends
+where the network is within `RESIDUAL` of its equilibrium. The path of a universal network has a closed form.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.values import Floats
 
-_LATE, _SWING = 25, 1e-4  # samples at the end between which no joint may swing, and by how much [rad, m]
+_LATE, _SWING = 25, 1e-4  # number of last samples between which the spline of no joint may swing by more [rad, m]
 RESIDUAL = 1e-8  # distance to the equilibrium at which the path is cut [network coordinates: rad, length_scale m]
 
 
@@ -45,18 +44,18 @@ RESIDUAL = 1e-8  # distance to the equilibrium at which the path is cut [network
 class NetworkPath:
     """The path of an arm that follows a network; `timed` makes motions along it.
 
-    Positions on it are the network's own time tau, or w = 1 - e^-tau, in which that of a universal network is smooth to
-    its end. The joints are decoded at some of them; a spline through these is good to a micrometre.
+    Positions on the path are the network's own time tau or, for a universal network, w = 1 - e^-tau, in which it is
+    smooth to the end. The joints are decoded at some positions; a spline through them is good to a micrometre.
 
     Attributes:
         arm: decodes states to joint positions.
         network: a network with as many visible neurons as the arm has links.
         target: ``(N, 6)`` the visible neurons' equilibrium.
-        states: from positions ``(K,)`` to the states of all neurons there, or of the visible ones if there are joints.
-        speed: the speed along the path as a function of position, up to its end: that of the joints in units of their
-            limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
+        states: maps positions ``(K,)`` to the states of all neurons or, if the path is universal, of the visible ones.
+        speed: the speed along the path as a function of position up to its end, either of the joints in units of their
+            limits, combined with the rate of convergence, or of the network's states. None if nothing moves.
         joints: joints ``(n,)``, then mechanism gaps ``(N,)`` [m] and ``(N,)`` [rad], as functions of position.
-        universal: whether positions are w.
+        universal: whether the network is universal and positions are w.
     """
 
     arm: Arm
@@ -90,14 +89,14 @@ class NetworkPath:
         if np.abs(origin - target).max() <= RESIDUAL:
             still = make_interp_spline([0, 1], [np.append(begin, np.zeros(2 * arm.n_links))] * 2, 1)
             return cls(arm, network, network.visible(target), lambda at: np.stack([origin] * len(at)), None, still)
-        # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
+        # Far from the equilibrium gamma determines the pace, close to it the slowest eigenvalue.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
         arrived = False
-        # Where a slow clock ends the path, the speed is low, and the integrator's error must be small beside it. That
-        # may keep it from a target with large entries, too; then a smaller tolerance is used.
+        # A slow clock makes the speed low at the end of the path, and the integrator's error must be small beside it.
+        # The error may also keep it from arriving at a target with large entries; then a smaller tolerance is tried.
         usual = max(1e-8 * min(1.0, pace / network.gamma) ** 4, 1e-12)
-        # An equilibrium that does not attract is not tried.
+        # Nothing is integrated towards an equilibrium that does not attract.
         for rtol in (usual, 1e-2 * usual) if equilibrium.spectral_abscissa < 0.0 else ():
             trajectory = network.trajectory(
                 origin, longest, until=target, distance=RESIDUAL, method="DOP853", rtol=rtol, atol=1e-2 * rtol
@@ -110,14 +109,14 @@ class NetworkPath:
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"
             )
-        # Between its samples, the speed is interpolated with a lower order than the states and the joints.
+        # A grid finer than the integrator's steps, since the speed is interpolated with a lower order than the states.
         between = trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * (np.arange(24) / 24)
         grid = np.append(between, trajectory.t[-1])
         states = trajectory(grid)
         some = np.append(np.arange(0, len(grid) - 1, 4), len(grid) - 1)
         known, field = grid[some], network.visible(network.vector_field(states[some]))
         decoded = arm.decode(network.visible(states[some]), field, begin)
-        # Where a link's joints are exactly singular, nothing bounds their rates.
+        # The rates of a link's joints are unbounded where they are exactly singular.
         if not (np.abs(decoded.qd) < 1e100).all() or unexplained_steps(known, decoded.q, decoded.qd)[1].max() > JUMP:
             raise PlanError("the joint positions nearest to the network's path jump; use another network")
         joints = _through(known, decoded)
@@ -149,10 +148,10 @@ class NetworkPath:
         w = visible.x
         slope = np.concatenate([visible.c[2], visible(w[-1:], 1)]) * units
         speed = PchipInterpolator(w, np.sqrt(np.einsum("kij,kij->k", slope, slope)))
-        # Decoded at every third instant, or sixth of a smooth path, and at all where they become denser.
+        # Joints are decoded at every third instant, or every sixth of a smooth path, and at all instants near the end.
         bends = np.abs(np.diff(visible.c[3, : np.count_nonzero(w < 0.95) : 6], n=6, axis=0)).max()
         some = w[(np.arange(len(w)) % (6 if bends < 5e-5 else 3) == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
-        # Both paths have about the same length; guesses are taken from some samples of the motion's.
+        # Both paths have about the same length, so guesses are taken from samples of the motion at the same length.
         known = given.ends(500)
         passed, length = travelled(given.xi[known] * units), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
@@ -206,7 +205,7 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     check_motion(arm, motion)
     away = np.abs(motion.q[-1] - problem.target)
     joint = int(away.argmax())
-    # Two configurations with the same poses differ by more.
+    # Different configurations with the same poses differ by more than this [rad, m].
     if away[joint] > 1e-3:
         raise PlanError(
             f"the path ends at another configuration with the target's poses: joint {arm.joint_names[joint]!r} at "
@@ -220,7 +219,7 @@ def _through(position: Floats, decoded: Retraction) -> BSpline | PchipInterpolat
     """The joints and gaps of `NetworkPath` through those decoded at some positions ``(K,)``."""
     values = np.concatenate([decoded.q, decoded.gap_translation, decoded.gap_rotation], axis=1)
     smooth = make_interp_spline(position, values, 5)
-    # Where the end's poses hardly tell the joints apart, these settle later than the poses, and a spline would swing.
+    # If poses near the end hardly determine the joints, these settle later than the poses, and a spline would swing.
     late, known = position[-_LATE:], values[-_LATE:]
     swing = np.abs(smooth(0.5 * (late[1:] + late[:-1])) - known[1:]) - 2.0 * np.abs(np.diff(known, axis=0))
     return PchipInterpolator(position, values) if swing.max() > _SWING else smooth
@@ -234,7 +233,7 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
     tau = np.interp(wanted, known, grid)
     for _ in range(60):
         error = length(tau) - wanted
-        # Solved samples are kept: rounding could lead them out of their brackets, and bisection then far away.
+        # Solved samples are kept: rounding could move them out of their brackets, and bisection then far away.
         off = np.abs(error) > 1e-14 * known[-1]
         if not off.any():
             break

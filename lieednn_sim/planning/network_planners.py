@@ -46,7 +46,7 @@ class TrainedOptions(CandidateOptions):
 
 
 def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
-    """The network of `reference_network`, retargeted by its bias alone.
+    """Retarget the network of `reference_network` by its bias alone.
 
     Raises:
         NotCertifiedError: the arm's reference network could not be certified.
@@ -131,7 +131,7 @@ def without_weights(target: Floats) -> LieEDNN:
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
     """The path of a network, checked to end at the problem's target."""
     path = NetworkPath.integrate(problem.arm, network, problem.start)
-    # An uncertified network may have several equilibria, and learning and position limits have tolerances.
+    # The end may be elsewhere: an uncertified network may have several equilibria, and learning has a tolerance.
     distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
     if distance > LIMIT_TOLERANCE:
         raise PlanError(f"it ends at another equilibrium, {distance:.2g} from the target; use a certified network")

@@ -13,7 +13,7 @@ from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION
 from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
 from lieednn_sim.values import set_fields
 
-# What the annotations of a class say, found once.
+# The types of a class's annotations, evaluated once.
 _kinds: Callable[[type], dict[str, Any]] = cache(get_type_hints)
 
 
@@ -21,9 +21,9 @@ _kinds: Callable[[type], dict[str, Any]] = cache(get_type_hints)
 class PlannerOptions:
     """Base class of the options of planners, of their parts, and of policies.
 
-    A field takes what its annotation says: ``int`` an integer from 1 on, ``float`` a positive number, ``tuple[...]``
-    one or more of its items, anything else an instance. The field's metadata may bound numbers further by ``range`` and
-    list the names allowed by ``choices``.
+    A field's annotation says what it takes: ``int`` an integer from 1 on, ``float`` a positive number, ``tuple[...]``
+    one or more items, any other class an instance of it. The field's metadata may bound numbers further by ``range``,
+    and list the allowed names by ``choices``.
 
     Raises:
         InputError: a value is not allowed.
@@ -45,10 +45,10 @@ class PlannerOptions:
 def given_options(
     what: str, kind: type[PlannerOptions] | None, options: PlannerOptions | None
 ) -> tuple[PlannerOptions, ...]:
-    """The options with which ``what`` is called: those given, or the defaults of its kind; none if it has no kind.
+    """The options to call ``what`` with: those given, or the defaults of the class ``kind``; none if it is None.
 
     Raises:
-        InputError: options are given, of another class or to something without options.
+        InputError: the options given are of another class, or ``what`` has none.
     """
     if options is not None and (kind is None or not isinstance(options, kind)):
         allowed = "has no options" if kind is None else f"takes options of class {kind.__name__}"

@@ -1,4 +1,4 @@
-"""Regions in which the end effector stays on its way: joint positions projected onto them, and the check of motions."""
+"""Regions in which the end effector stays on its way: projecting joint positions onto them, and checking motions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def excess_and_slopes(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> tuple[F
 
 
 def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
-    """Joint positions ``(K, n)`` in all regions near given ones, within the limits; some stay outside where none is.
+    """Project joint positions ``(K, n)`` onto all regions, within the limits; some may stay outside the regions.
 
     Newton's method takes the least step, in units of the joints' ranges, so that a smooth path stays smooth. Joints
     that it would lead out of their limits stay where they are.
@@ -50,7 +50,7 @@ def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
         blocked = (new < low) | (new > high)
         if blocked.any():
             step = _least_step(excess, np.where(blocked[:, None], 0.0, slopes))
-        # No joint by more than a fifth of its range.
+        # No joint moves by more than a fifth of its range in a step.
         step *= np.minimum(1.0, 0.2 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
         q[left] = arm.within_angles(np.clip(q[left] + arm.ranges * step, low, high))
     return q
@@ -58,7 +58,7 @@ def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
 
 def _least_step(excess: Floats, slopes: Floats) -> Floats:
     """The least steps ``(K, n)`` that undo an excess ``(K, C)`` with slopes ``(K, C, n)``."""
-    # Damped, where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
+    # Damping, for poses that do not determine the joints; it is small against slopes of about 1 m or rad per range.
     square = slopes @ np.swapaxes(slopes, -1, -2) + 1e-9 * np.eye(excess.shape[1])
     return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
 
@@ -66,7 +66,7 @@ def _least_step(excess: Floats, slopes: Floats) -> Floats:
 def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, path_constraint: TaskSpaceRegion) -> Floats | None:
     """The joint position ``(n,)`` in a goal that the arm reaches from a start in small steps within a region, if any.
 
-    The goal's bounds are widened until they hold the start, and then drawn in.
+    The goal's bounds are first widened until they contain the start, and then drawn in step by step.
     """
     inset = 1e-6
     goal, path_constraint, q = goal.within(inset), path_constraint.within(inset), start[None]

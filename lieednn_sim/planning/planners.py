@@ -34,7 +34,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 
     The function takes a `PlanningProblem`. It returns a `Motion` (see `planning.joint_motion`) or a `Plan` with its
     network, and raises `PlanError` if it finds none. Limits, clearance, start, target and the region to keep are
-    checked of every motion; if it is too fast, the function is called again with the duration that it needs. Worker
+    checked for every motion; if it is too fast, the function is called again with the duration that it needs. Worker
     processes and the command line find planners that an installed package declares as entry points of the group
     ``lieednn_sim.planners``; a function declared like this needs the decorator only if it takes options.
 
@@ -49,7 +49,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 
 
 def _solved(entry: PlannerEntry, problem: PlanningProblem, *options: PlannerOptions) -> Plan:
-    """A planner's plan; that of another package is held to what every planner guarantees."""
+    """A planner's plan; that of a planner from another package is checked for what every planner guarantees."""
     solve = entry.load()
     result = in_time(solve, problem, *options) if entry.own else in_time(_checked, problem, solve, *options)
     return Plan(result) if isinstance(result, Motion) else result
@@ -126,34 +126,34 @@ def plan(
         arm: the arm, in its scene.
         target: a goal: joint target ``(n,)`` [rad, m], a keyframe's name, a pose of the end effector in the world, or
             a region of poses (`TaskSpaceRegion`). Or a set of goals: joint targets ``(m, n)``, poses of shape ``(m,)``,
-            or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). Of all of them the
-            plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
-            finds a motion.
+            or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). The plan's target
+            is, of all those to which the planner finds a motion, the one that is reached soonest
+            (`motion.least_duration`).
         planner: a name of `PLANNERS`, or ``file.py:function`` of one's own; by default the `default_planner`, or
             ``lieednn-shaped`` where a region is kept.
-        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. Within
-            `Arm.start_tolerance` beyond a limit it is taken as at that; closer to something than the clearance, or as
-            deep in it, the motion leaves it (`Arm.leaving`), and `Plan.leaves` says what.
-        duration: duration of the motion [s], rounded to a whole number of the model's time steps; or that, and the
-            longest one that the motion may take if the arm's limits require it, by default three times as long. Learned
-            networks always keep the duration.
+        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. A start
+            beyond a limit by at most `Arm.start_tolerance` is moved to it. If the start is closer to something than the
+            clearance, or at most that tolerance deep in it, the motion leads away from it (`Arm.leaving`), and
+            `Plan.leaves` says what it is.
+        duration: duration of the motion [s], rounded to a whole number of the model's time steps; or a pair of it and
+            the longest duration that the motion may take if the arm's limits require it, by default three times as
+            long. Learned networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
-        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only,
-            and to a motion that stays where it is.
+        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies only to planning, and
+            to a motion that stays in place.
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
-        payload: mass at the end effector [kg], see `Arm.with_payload`, with which the plan's arm is returned. Motions
-            that need more force than the actuators have take longer, with or without one.
-        settle: a name of `settling.METHODS` or `SettlingOptions`: another time law on the planned path, after which
-            little of what hangs or is elastic swings and bends (`settling.settled`). It keeps the duration where the
-            limits and the swinging load's clearance allow that; with ``fastest`` it takes half a period of the slowest
-            oscillation longer.
+        payload: mass at the end effector [kg]; the plan's arm has it, too (`Arm.with_payload`). With or without a
+            payload, motions that need more force than the actuators have take longer.
+        settle: a name of `settling.METHODS` or `SettlingOptions`: a time law on the planned path that leaves hanging or
+            elastic parts nearly at rest (`settling.settled`). It keeps the duration if the limits and the swinging
+            load's clearance allow that; with ``fastest`` it adds half a period of the slowest oscillation.
 
     Raises:
-        InputError: a value is malformed, the planner is unknown, the options are those of another one, start or target
-            cannot be used, or nothing of the model swings that is to settle.
+        InputError: a value is malformed, the planner is unknown, the options belong to another planner, start or target
+            cannot be used, or ``settle`` is given but nothing in the model swings.
         NoSolutionError: no goal can be reached.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
@@ -169,17 +169,17 @@ def plan(
     given = given_options(f"the planner {planner!r}", entry.options, options)
     settling = SettlingOptions(settle) if isinstance(settle, str) else settle
     if fastest:
-        optional_module("toppra")  # before the work
+        optional_module("toppra")  # fail early if it is not installed
     begin, number = cpu_time(), as_seed("seed", seed)
     arm = arm.with_payload(payload)
     q = arm.check_start(start)
     free, leaves = arm.leaving(q)
-    # The rest of a bad problem is refused before goals are searched for.
+    # Refuse a bad problem before searching for goals.
     shortest, longest = durations(duration)
     first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
     check_held(arm, first.start[None], ["the start"])
     refusals: list[LieEDNNError] = [NoSolutionError("there is no goal")]
-    # For matrices this small, threads would only wait for each other.
+    # The matrices are so small that threads would only wait for each other.
     with default_limit(), one_blas_thread():
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
@@ -192,7 +192,7 @@ def plan(
             except (PlanError, NotCertifiedError) as error:
                 if leaves:
                     error.args = (f"{error}; from the start the motion must leave what is near: {leaves}",)
-                # A traceback refers to frames, and these to their variables: to the error, in a cycle with the arm.
+                # A traceback refers to frames and these to their variables: it would keep the arm alive in a cycle.
                 refusals = [error.with_traceback(None)]
             else:
                 spent = cpu_time() - begin

@@ -22,12 +22,12 @@ from lieednn_sim.values import Floats, check_fields, frozen, read_only, set_fiel
 
 _Made = TypeVar("_Made")
 
-#: The duration of a motion [s], or that and the longest one that it may take.
+#: The duration of a motion [s], or a pair: that and the longest duration that it may take.
 Duration = float | tuple[float, float]
 
 
 def durations(value: Duration) -> tuple[float, float]:
-    """A duration and the longest one, by default three times as long; `InputError` for anything else."""
+    """The duration and the longest one allowed, by default three times as long; `InputError` for anything else."""
     if isinstance(value, tuple | list):
         shortest, longest = as_floats("duration, a pair of it and of the longest,", value, (2,))
         if longest < shortest:
@@ -46,7 +46,7 @@ class PlanningProblem:
     Attributes:
         arm: the arm.
         start: ``(n,)`` joint position at rest [rad, m].
-        target: ``(n,)`` joint position at rest at the end [rad, m].
+        target: ``(n,)`` joint position at the end, at rest [rad, m].
         duration: duration of the motion [s].
         seed: seed of randomised planners.
         longest: largest duration that the motion may take if the arm's limits require it [s]; by default three times
@@ -54,8 +54,8 @@ class PlanningProblem:
         path_constraint: region in which the end effector stays on the way; none if it may go anywhere.
 
     Raises:
-        InputError: a value is malformed, or start or target cannot be used: beyond a limit, closer to contact than the
-            arm's `clearance`, or outside the region to keep.
+        InputError: a value is malformed, or start or target cannot be used, since it is beyond a limit, closer to
+            contact than the arm's `clearance`, or outside the region to keep.
     """
 
     arm: Arm
@@ -102,7 +102,7 @@ class Plan:
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
-        guide: the plan that the motion follows, with its planner's name, not wholly checked; None if it follows none.
+        guide: the plan that the motion follows, with its planner's name, only partly checked; None if it follows none.
         arm: the arm that it was planned for.
         leaves: what is nearer than the arm's clearance at the start, and how near, in words; empty where nothing is.
     """
@@ -119,7 +119,7 @@ class Plan:
 
     @property
     def proof(self) -> str:
-        """What its network's certificate says, in a few words."""
+        """What the network's certificate says, in a few words."""
         return "no network, no proof" if self.network is None else str(self.network.certificate or "not certified")
 
     def __repr__(self) -> str:
@@ -139,27 +139,27 @@ class Plan:
 
     @cached_property
     def qpos(self) -> Floats:
-        """``(K, nq)`` positions in the order of the arm's model; in that of a view, what is not the arm's stays."""
+        """``(K, nq)`` positions of the arm's model; in a view's model, what is not part of the arm stays in place."""
         return read_only(self._of_arm().qpos(self.motion.q))
 
     @cached_property
     def qvel(self) -> Floats:
-        """``(K, nv)`` velocities in that order; zero where they are not the arm's."""
+        """``(K, nv)`` velocities of the arm's model; zero for what does not belong to the arm."""
         return read_only(self._of_arm().qvel(self.motion.q, self.motion.qd))
 
     @cached_property
     def clearance(self) -> Clearance:
-        """A proved lower bound of its distances from contact at every instant, found when it is first asked for."""
+        """A proved lower bound of the distances from contact at every instant, computed when it is first asked for."""
         return proved_clearance(self._of_arm(), self.t, self.motion.q, self.motion.qd, others=True)
 
     @cached_property
     def load_clearance(self) -> Clearance | None:
-        """`clearance` of what hangs, as it swings by a linear model; None where nothing does."""
+        """The `clearance` of a hanging load as it swings, by a linear model; None where nothing hangs."""
         return load_clearance(self._of_arm(), self.motion)
 
     @property
     def proved(self) -> bool:
-        """Whether it is proved that nothing touches at any instant; else `clearance` says in which stretches not."""
+        """Whether it is proved that nothing touches at any instant; `clearance` says in which stretches it is not."""
         return self.clearance.proved
 
     def _of_arm(self) -> Arm:
@@ -169,14 +169,14 @@ class Plan:
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
-    """Call ``make(problem, *options)``, and again with the duration that the motion needs if it was too fast.
+    """Call ``make(problem, *options)``; if the motion is too fast, again with the duration that it needs.
 
     All planners follow this rule, so that a comparison does not depend on the duration asked for.
 
     Raises:
         TooFastError: even ``problem.longest`` is not enough.
     """
-    time_reserve = 1.02  # on the duration that a too fast motion needs, since that is estimated from samples
+    time_reserve = 1.02  # factor on the duration that the motion needs, which is estimated from samples
     while True:
         try:
             return make(problem, *options)

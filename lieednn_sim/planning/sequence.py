@@ -1,4 +1,4 @@
-"""Plans in a row in somebody's model: an arm moves, a gripper closes, the arm carries what it holds, and so on."""
+"""Sequences of plans in a user's model: an arm moves, a gripper closes, the arm carries what it holds, and so on."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen
 
-# What is added to the inertia of each joint of the arm, as a multiple of it, so that the arm rests while the gripper
-# moves. A far more rigid arm lets fingers fling what they release.
+# Inertia added to each joint of the arm, as a multiple of its own, so that the arm rests while the gripper moves. With
+# a far more rigid arm, fingers would fling away what they release.
 _HELD = 10.0
 
 
@@ -51,13 +51,13 @@ class SequencePart:
 
 @frozen
 class PlanSequence:
-    """Steps in a row of a view of a model, from `plan_sequence`; `simulate` takes them.
+    """A sequence of planned steps in a view of a model, made by `plan_sequence`; `simulate` runs it.
 
     Attributes:
         t: ``(K,)`` times from 0, at the model's steps [s].
         qpos: ``(K, nq)`` positions in the model's order. What is held moves with the hand; while a gripper moves,
-            all but the arm obeys physics; everything else stays.
-        qvel: ``(K, nv)`` velocities in its order.
+            everything but the arm is simulated; otherwise everything else stays in place.
+        qvel: ``(K, nv)`` velocities in the model's order.
         parts: the steps, with the plan of each move.
         arm: the arm, without what it holds.
     """
@@ -91,28 +91,28 @@ def plan_sequence(
     fastest: bool = False,
     settle: str | SettlingOptions | None = None,
 ) -> PlanSequence:
-    """Plan steps in a row of a view of a model, each from where the one before ended, at rest.
+    """Plan a sequence of steps in a view of a model, each of which starts at rest where the one before ended.
 
-    Moves are planned by `plan`, each with its own proof. Where the fingers and the objects are after controls have
-    changed is found by simulating the model with the arm held still; so a held object is carried as the fingers grasped
-    it, and stands afterwards where it came to rest.
+    Moves are planned by `plan`, each with its own proof. After controls have changed, the model is simulated with the
+    arm held still, to find out where fingers and objects end up: a held object is then carried as the fingers grasped
+    it, and a released one stands where it came to rest.
 
     Args:
         arm: a view (`Arm.of`), from whose state the first step starts, at rest.
         steps: the steps.
-        planner, duration, options, fastest, settle: as for `plan`, for each move that has no other.
+        planner, duration, options, fastest, settle: as for `plan`, for each move that does not set its own.
         seed: seed of all moves.
 
     Raises:
         InputError: a value is malformed, or start or goal of a move cannot be used; the message names the step.
-        PlanError, NotCertifiedError: there is no such motion, or an event does not come; the message names the step.
+        PlanError, NotCertifiedError: a motion is not found, or an event does not come; the message names the step.
     """
     if not steps or not all(isinstance(step, Move | Actuate) for step in steps):
         raise InputError("steps must be a list of Move and Actuate, with at least one")
     common = {"planner": planner, "duration": duration, "options": options, "fastest": fastest, "settle": settle}
     common["seed"] = as_seed("seed", seed)
     planned = _Planned(arm)
-    # Refused before the work.
+    # Bad steps are refused before any work is done.
     gripping = {k: Gripping(arm, arm.model, step) for k, step in enumerate(steps) if isinstance(step, Actuate)}
     parts = []
     for k, step in enumerate(steps):
@@ -147,7 +147,7 @@ class _Planned:
             arm = replace(arm, clearance=step.clearance)
         if step.holding is not None:
             arm = arm.holding(step.holding, step.touching)
-        # A keyframe ``home`` is the state in which the sequence begins, not this one.
+        # The keyframe ``home`` means the state in which the sequence begins, not the present one.
         own = {name: getattr(step, name) for name in (*common, "path_constraint")}
         own = {name: value for name, value in own.items() if value is not None}
         result = plan(arm, resolved(self._arm, step.goal), **{**common, **own})
@@ -163,7 +163,7 @@ class _Planned:
         with QuietWarnings():
             mujoco.mj_forward(self._heavy, state)
             while True:
-                # Against gravity; of the last step, in which the arm was in the same place.
+                # The force against gravity, from the last step, in which the arm was in the same place.
                 state.qfrc_applied[self._dofs] = (state.qfrc_bias - state.qfrc_passive)[self._dofs]
                 mujoco.mj_step(self._heavy, state)
                 if state.warning.number.any() or not np.isfinite(state.qvel).all():
@@ -188,7 +188,7 @@ class _Planned:
 
 
 def _heavier(model: mujoco.MjModel, data: mujoco.MjData, dofs: NDArray[np.int_]) -> mujoco.MjModel:
-    """A copy of a model in which some dofs have more inertia than in a state, and no actuators."""
+    """A copy of a model in which some dofs have extra inertia, relative to that in a state, and no actuators."""
     heavy, state = copy.deepcopy(model), mujoco.MjData(model)
     mujoco.mj_copyData(state, model, data)
     mujoco.mj_fwdPosition(model, state)

@@ -1,11 +1,11 @@
-"""Time laws that leave little swinging and bending: input shapers, and laws of least energy left, on the same path.
+"""Time laws that leave little swinging and bending on a given path: input shapers, and laws of least residual energy.
 
 Shapers convolve a motion's time law with impulses: ZV and ZVD of Singer and Seering (J. Dyn. Sys., Meas., Control
-112(1), 1990), EI of Singhose, Seering and Singer (J. Mech. Des. 116(2), 1994). They would leave nothing of a mode that
-stays the same and is driven linearly; on a path that bends they leave a part. The law of least energy knows how the
-modes change along the path (`swing_model`): a cubic B-spline s'(t), found by Gauss and Newton's method as a sequence of
-quadratic programs within the limits of the joints. Where the arm moves stays as planned, and with it what is proved of
-its path; the limits are checked anew.
+112(1), 1990), EI of Singhose, Seering and Singer (J. Mech. Des. 116(2), 1994). They cancel a mode that is constant and
+driven linearly; on a curved path a part of the oscillation is left. The law of least energy accounts for the change of
+the modes along the path (`swing_model`). It is a cubic B-spline s'(t), found by the Gauss-Newton method as a sequence
+of quadratic programs within the limits of the joints. The path stays as planned, so what is proved about it still
+holds; the limits are checked anew.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _INSTANTS = 501  # of the path
 _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _GROWTH = 1.05, 1.2  # of the duration of a law that breaks limits, at least and at most
-_SMOOTH = 1e-7  # weight of the mean square of the law's jerk, in units of the duration, against fractions of energies
+_SMOOTH = 1e-7  # weight of the law's mean squared jerk, in units of the duration, relative to fractions of energy
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class SettlingOptions(PlannerOptions):
 
     Attributes:
         method: a name of `METHODS`.
-        loads: masses of what hangs, as fractions of the model's, for which ``least-energy`` minimises the sum of the
-            energies left, besides the model's own.
+        loads: further masses of what hangs, as fractions of the model's, with which ``least-energy`` minimises the
+            energy left, too.
         lengths: the same for the lengths at which it hangs.
-        modes: how many of the slowest modes a shaper is made for.
+        modes: number of the slowest modes for which a shaper is made.
     """
 
     method: str = field(default=METHODS[0], metadata={"choices": METHODS})
@@ -59,19 +59,19 @@ class SettlingOptions(PlannerOptions):
 def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float = math.inf, more: float = 0.0) -> Motion:
     """A motion along the path of another one, by a time law that leaves less swinging and bending.
 
-    It takes as long as the other one where the arm's limits allow that, and the load keeps the arm's clearance as it
-    swings (`load_clearance`); else as much longer as they need.
+    It keeps the duration if the arm's limits allow that and the swinging load keeps the arm's clearance
+    (`load_clearance`); otherwise it takes as much longer as they need.
 
     Args:
         arm: the motion's arm, in its scene.
         motion: a motion from rest to rest.
         options: the method, and for which loads.
         longest: the longest duration that it may take [s].
-        more: how many periods of the slowest oscillation it takes longer at least.
+        more: number of periods of the slowest oscillation by which it takes longer at least.
 
     Raises:
         InputError: the arm has no passive joints that oscillate.
-        NoSolutionError: these rest nowhere.
+        NoSolutionError: the passive joints have no position of rest.
         PlanError: the motion breaks a limit, see `check_motion`, or the load would come too near to something;
             `TooFastError` if it would take longer.
     """
@@ -79,7 +79,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     modes = passive.modes(motion.q[-1])
     if not modes:
         raise InputError(f"arm {arm.name!r} has nothing that swings or bends: all joints of its model are driven")
-    if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
+    if np.ptp(motion.q, axis=0).max() <= 1e-8:  # it stays in place, up to rounding
         return motion
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
     others, least = list[Arm](), options.method == METHODS[0]
@@ -91,7 +91,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
-    """Delays [s] and shares ``(k,)`` of a shaper's impulses, for the slowest of some modes.
+    """Delays [s] and weights ``(k,)`` of a shaper's impulses, for the slowest of the modes.
 
     EI leaves 5 % of its mode, for a wider range of frequencies; its undamped impulses decay with the mode's damping.
     """
@@ -108,9 +108,9 @@ def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, F
 
 
 def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: float) -> CubicHermiteSpline:
-    """A law convolved with impulses, so compressed before that it takes a duration [s] with them.
+    """A law convolved with impulses, and compressed before so that the result takes a duration [s].
 
-    Where less than a quarter of the duration would be left for it, it takes that, and the whole longer.
+    If less than a quarter of the duration would be left for the law itself, it gets that, and the result is longer.
     """
     own = max(duration - delays.max(), 0.25 * duration)
     t = np.linspace(0.0, own + delays.max(), _SAMPLES)
@@ -125,21 +125,21 @@ class _LeastEnergy:
     def __init__(self, arm: Arm, curve: TimedCurve, others: list[Arm], modes: tuple[Mode, ...]) -> None:
         self._modes = modes
         self._limits = np.concatenate([arm.velocity_limits, arm.acceleration_limits])[:, None, None]
-        # The path's own spline has denser knots, between which its third derivative jumps where a planner left corners.
+        # The path's own spline has denser knots, where its third derivative jumps if a planner left corners.
         self._t, s = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _INSTANTS)
         self._own, self._path = curve.own(self._t * curve.own.x[-1]), CubicSpline(s, curve.q(s))
         self._model = SwingModel([arm, *others], self._path)
 
     def law(self, duration: float) -> CubicHermiteSpline:
         """The law for a duration [s]."""
-        # Three coefficients for a period of the slowest mode, within bounds.
+        # Three coefficients per period of the slowest mode, within bounds.
         count = int(np.clip(3.0 * duration * self._modes[0].frequency + 10.0, 16, 60))
         knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-        # s' by fractions of the duration, from and to rest without a step of the acceleration.
+        # s' over fractions of the duration, from rest to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
         steps = math.ceil(duration / (2.0 * longest_step(self._modes)))
-        # In the middle of the steps of the model, and where limits are looked at.
+        # Instants in the middle of the model's steps, and those at which limits are kept.
         middle, tau = (np.arange(steps) + 0.5) / steps, np.linspace(0.0, 1.0, _LOOKS)
         basis, looks = ([part(at) / duration**k for k, part in enumerate(parts)] for at in (middle, tau))
         fitted, *_ = np.linalg.lstsq(parts[0](self._t), self._own, rcond=None)
@@ -166,15 +166,15 @@ class _LeastEnergy:
         values = path[1] * r, path[2] * r**2 + path[1] * u
         over_s = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
         over_rates = path[1] * looks[1], 2.0 * path[2] * r * looks[1] + path[1] * looks[2]
-        # Velocities and accelerations in units of their limits; without a limit, zero.
+        # Velocities and accelerations in units of their limits; zero where there is no limit.
         value, change, more = (np.concatenate(pair) / self._limits for pair in (values, over_s, over_rates))
         change = (change + more).reshape(-1, len(now))
         known = value.ravel() - change @ now
-        # It arrives, and goes nowhere back.
+        # Constraints: s ends at 1, s' is not negative, and the limits are kept.
         rows = np.vstack([looks[0][-1:], looks[1], change])
         lower = np.concatenate([[1.0], np.zeros(_LOOKS), -_MARGIN - known])
         upper = np.concatenate([[1.0], np.full(_LOOKS, 1e6), _MARGIN - known])
-        # DAQP's marks of soft constraints, and of an equality. Where limits cannot be kept, the motion takes longer.
+        # DAQP marks soft constraints by 8, and equalities by 5. If limits cannot be kept, the motion will take longer.
         sense = np.full(len(rows), 8, dtype=np.int32)
         sense[0] = 5
         return np.asarray(daqp.solve(slopes.T @ slopes, slopes.T @ rest, rows, upper, lower, sense, rho_soft=1e-6)[0])

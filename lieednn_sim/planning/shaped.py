@@ -1,9 +1,9 @@
 """A certified network shaped after the motion of a guide.
 
-The guide is the best of a few quick motions (`guides`). It is encoded as a start of the arm's universal network
-(`synthesis.CurveEncoder`); where the path is too long for a code, or the clock rate below 1, one is shaped by
-`synthesis.shape`. The motion follows the network's path by the guide's time law. It is proved that the network ends
-at the target from every start; its distance from the guide's path, limits and clearance are only checked.
+The guide is the best of a few quick motions (`guides`). It is encoded as an initial state of the arm's universal
+network (`synthesis.CurveEncoder`); if its path is too long for a code, or the clock rate is below 1, a network of its
+own is shaped (`synthesis.shape`). The motion follows the network's path with the guide's time law. It is proved that
+the network ends at the target from every start; distance from the guide's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen
 
-# Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
+# Strengths of universal networks; the second encodes curves that are fifty times as long or as sharply bent.
 _STRENGTHS = (STRENGTH, 4000.0)
-_PIECES = 250  # of the guide's path, from whose ends the network's is so far
+_PIECES = 250  # pieces of the guide's path, at whose ends the deviation is measured
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class ShapedOptions(NetworkOptions):
     Attributes:
         deviation: largest deviation of the end effector's path from the guide's [m].
         rate: rho of the network's clock (`ShapingOptions`). With 1 the motion is encoded in the arm's universal network
-            (`synthesis.CurveEncoder`), which is as fast as the arm; one that is too long or too sharply bent for that
-            has a network of its own. With less a network is shaped that returns to its path after a push.
-        guides: largest number of seeds whose guides are tried until a network follows one, from that of the problem on.
-        neurons: for a network of its own, numbers of hidden neurons to try in turn until it comes within a fifth of the
+            (`synthesis.CurveEncoder`), which is as fast as the arm; a motion too long or too sharply bent for that gets
+            a network of its own. With less than 1, a network is shaped that returns to its path after a push.
+        guides: largest number of seeds, from the problem's on, whose guides are tried until a network follows one.
+        neurons: numbers of hidden neurons to try in turn for a network of its own, until it keeps a fifth of the
             deviation.
         guide: how the guide's motion is found.
 
@@ -114,14 +114,14 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
 
 
 def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> tuple[LieEDNN, bool]:
-    """A network along a curve ``(K, N, 6)``, with ``units`` as from `lever_units`, and whether it is the universal."""
+    """A network along a curve ``(K, N, 6)``, given the `lever_units`, and whether it is the universal one."""
     if options.rate == 1.0:
-        # Other curves are too long or too sharply bent for a code.
+        # The encoder refuses curves that are too long or too sharply bent for a code.
         for strength in _STRENGTHS:
             with suppress(InputError):
                 return CurveEncoder(arm.n_links, options.activation, strength).encode(curve, units), True
     shaping = ShapingOptions(options.rate, options.neurons, options.activation)
-    # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
+    # The deviation allowed is the end effector's, but this one is that of all links. Less than a fifth would take more
     # neurons, and up to 1.3 times the jerk at a rate of 0.1.
     return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network, False
 
@@ -129,8 +129,8 @@ def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> 
 def lever_units(arm: Arm, q: Floats, tips: Floats | None = None) -> Floats:
     """Metres ``(N, 6)`` for one unit of each network coordinate along joint positions ``(K, n)``.
 
-    For rotations, the longest lever arm from the frame of rotation to the end effector, of which `Arm.tip_in_frames`
-    may be given; for translations, the length scale.
+    For rotations they are the longest lever arm from the frame of rotation to the end effector (``tips`` of
+    `Arm.tip_in_frames` may be given); for translations, the length scale.
     """
     tips = arm.tip_in_frames(q[:: max(1, len(q) // 50)]) if tips is None else tips
     lever = np.sqrt(np.einsum("knj,knj->kn", tips, tips).max(axis=0))
@@ -140,7 +140,7 @@ def lever_units(arm: Arm, q: Floats, tips: Floats | None = None) -> Floats:
 
 
 def _deviation(path: Floats, line: Floats) -> float:
-    """Largest distance of a path ``(K, 3)`` from a polyline ``(L, 3)`` [m], beside the vertex of the same time."""
+    """Largest distance [m] of a path ``(K, 3)`` from the segments of a polyline ``(L, 3)`` around the same time."""
     nearest = np.linspace(0, len(line) - 1, len(path)).round().astype(int)
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):

@@ -1,4 +1,4 @@
-"""Whether actuators hold an arm where it rests, and have the forces for a motion, with what the arm carries."""
+"""Whether actuators can hold an arm at rest, and have the forces for a motion, including what the arm carries."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_fricti
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats
 
-_NEAR = 0.7  # part of a limit above which, at one of them, more are looked at; of 288 fast motions none had 1.25 of it
-_TOLERANCE = 1e-6  # by which a force may pass its limit, in units of it
+_NEAR = 0.7  # fraction of a limit above which more samples are checked; none of 288 fast motions had 1.25 times as much
+_TOLERANCE = 1e-6  # relative excess of a force over its limit that is allowed
 _RESTING = 1e-6  # rate below which dry friction holds a joint rather than brakes it [rad/s, m/s]
 
 
 class TooWeakError(PlanError, InputError):
-    """Actuators cannot hold an arm's weight: at a start or target, or on a way, where another one may be easier."""
+    """Actuators cannot hold the arm's weight, at start or target, or on the way; another way may need less force."""
 
 
 def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
-    """Largest force that a motion needs of the actuators, in units of its limit; arguments as for `check_forces`."""
+    """Largest force that a motion needs from the actuators, in units of its limit; arguments as for `check_forces`."""
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
 
 
 def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
     """Forces along a path q(s) over their bounds: coefficients ``(4, S, 2 m)`` of s'', s'^2, s' > 0 and 1.
 
-    The path is called as ``path(s, order)``, with s ``(S,)``. The forces must be below 1; those that are bounded from
-    below come first.
+    The path is called as ``path(s, order)``, with s ``(S,)``. The forces must be below 1; bounds from below come first.
     """
     q, slope, step = path(s), path(s, 1), 1e-6
     ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
@@ -41,7 +40,7 @@ def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
 
 
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
-    """Raise `TooWeakError` if actuators are too weak for the arm's weight at rest; dry friction may help them.
+    """Raise `TooWeakError` if actuators cannot hold the arm at rest, even with the help of dry friction.
 
     It is checked at configurations q ``(K, n)``; ``where`` says what each is, for the message.
     """
@@ -54,18 +53,18 @@ def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
 
 
 def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str] | None:
-    """Compare the forces that a motion needs with those that the arm's actuators have, by inverse dynamics.
+    """Compare the forces that a motion needs, by inverse dynamics, with those that the arm's actuators have.
 
-    The arm is taken with its payload and what it holds; arguments are as for `motion.check_joints`.
-    Dry friction acts against the motion; contacts are left out. Some samples are looked at, and those with the largest
-    accelerations; if any of these needs 0.7 of a limit, some 250, and all near those that need as much, or where an
-    acceleration changes by a fifth of its largest.
+    The arm includes its payload and what it holds; arguments are as for `motion.check_joints`. Dry friction acts
+    against the motion; contacts are left out. First a few samples and those with the largest accelerations are checked.
+    If one of these needs 0.7 of a limit, about 250 are, and then all samples near those that need as much, or where an
+    acceleration changes by a fifth of its largest value.
 
-    If time is stretched by s, forces f0 of gravity, springs and dry friction stay, f1 of dampers become f1 / s, and the
-    rest f2 / s^2. So a force stays below F from s = (f1 + sqrt(f1^2 + 4 (F - f0) f2)) / (2 (F - f0)) on.
+    If time is stretched by s, the forces f0 of gravity, springs and dry friction stay the same, f1 of dampers become f1
+    / s, and the others f2 / s^2. So a force is below F from s = (f1 + sqrt(f1^2 + 4 (F - f0) f2)) / (2 (F - f0)) on.
 
     Returns:
-        None if all are within their limits; else the duration that keeps them [s], and what does not, in words.
+        None if all are within their limits; otherwise the duration that keeps them [s], and what does not, in words.
 
     Raises:
         TooWeakError: f0 alone is beyond a limit.
@@ -76,7 +75,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     if not _limited(arm) or (near := _use(_along(arm, t, q, qd, first)).max(axis=1) > _NEAR).sum() == 0:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
-    # Many motions are far too fast, which some 250 samples tell. Of the others, those near samples that need as much.
+    # About 250 samples tell whether a motion is far too fast, as many are. If not, check those near the busiest, too.
     some = np.arange(0, last, stride := max(1, last // 250))
     use = _use(forces := _along(arm, t, q, qd, some))
     if stride > 1 and use.max() <= 1.0 + _TOLERANCE:
@@ -88,7 +87,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     if not len(k):
         return None
     rows, (needed, bound) = some[k], forces[:, k, j]
-    # In the direction of the bound that is passed.
+    # The parts of the force in the direction of the bound that is exceeded.
     f0, f1, f2 = np.sign(needed) * [part[np.arange(len(rows)), j] for part in _along(arm, t, q, qd, rows, _parts)]
     if (f0 >= bound).any():
         worst = int((bound - f0).argmin())
@@ -101,7 +100,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
 
 def _between(some: NDArray[np.int_], busy: NDArray[np.bool_], qd: Floats) -> NDArray[np.int_]:
-    """Samples between evenly spaced ones of which one is busy, or where an acceleration changes by a fifth or more."""
+    """Samples between two evenly spaced ones if one of these is busy, or an acceleration changes by a fifth or more."""
     changes = np.diff(qd, axis=0)
     swing = np.maximum.reduceat(changes, some) - np.minimum.reduceat(changes, some)
     busy = busy | np.append(busy[1:], False) | (swing > 0.2 * np.abs(changes).max(axis=0)).any(axis=1)
@@ -110,7 +109,7 @@ def _between(some: NDArray[np.int_], busy: NDArray[np.bool_], qd: Floats) -> NDA
 
 
 def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:
-    """The least factor s of time with which f0 + f1 / s + f2 / s^2 is below a bound; 0 where f0 alone is above it."""
+    """The least stretch s of time for which f0 + f1 / s + f2 / s^2 is below a bound; 0 where f0 alone is above it."""
     spare = bound - still
     root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
@@ -122,13 +121,13 @@ def _limited(arm: Arm) -> bool:
 
 
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest forces ``(m,)``, of the coordinates or of the actuators as in `_needed`."""
+    """Least and largest forces ``(m,)`` along the coordinates, or of the actuators, as in `_needed`."""
     return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
 
 
 def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
     """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `_needed`."""
-    # Dampers push the other way when the rates are reversed.
+    # Only the forces of dampers change their sign if the rates are reversed.
     still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
     return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])
 
@@ -136,7 +135,7 @@ def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Float
 def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
     """Forces needed at configurations q ``(S, n)``, with dry friction against rates qd, and their bounds ``(2, S, m)``.
 
-    They are along the coordinates or, where they act through closed loops, of the actuators.
+    They are generalised forces along the coordinates or, if there are closed loops, forces of the actuators.
     """
     model, basis, qpos = arm.model, tangent_basis(arm.space), arm.qpos(q)
     if arm.dependents is not None:
@@ -146,7 +145,7 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
     low, high = _bounds(arm)
     if arm.dependents is not None:
-        # Forces of least norm.
+        # The actuator forces of least norm that have this effect.
         exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
         needed = np.matvec(exert, needed)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
@@ -155,7 +154,7 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
 def _along(
     arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = _needed
 ) -> Floats:
-    """As `_needed`, for a motion at some samples, each with the acceleration to the next one."""
+    """`_needed` for some samples of a motion, each with the acceleration to the next sample."""
     qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
     return of(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
 

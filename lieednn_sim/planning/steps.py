@@ -21,7 +21,7 @@ from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive, quot
 from lieednn_sim.values import set_fields
 
 SETTLED = "settled"
-# What settled means: joints slower than this [rad/s, m/s], for so long [s].
+# Joints count as settled if they are slower than this [rad/s, m/s] for so long [s].
 _SLOW, _QUIET = 2e-3, 0.1
 
 
@@ -33,7 +33,7 @@ class Move:
         goal: any goal of `plan`: joint positions, a pose of the tip, the name of a keyframe of the model; ``home`` is
             where the sequence begins.
         name: what the move is called, by default the goal if that is a name.
-        holding: name of the free body that the tip carries, from where it then is.
+        holding: name of the free body that the tip carries, from its place at the beginning of the move.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
         planner, duration, seed, options, fastest, settle: as for `plan`; None for those of the sequence.
         clearance: distance that it keeps from contact [m]; None for the arm's.
@@ -63,7 +63,7 @@ class Actuate:
     """New controls of actuators that do not move the arm, while the arm rests.
 
     Attributes:
-        controls: the controls by the names of the actuators; they stay so in the steps that follow.
+        controls: the controls by the names of the actuators; they stay the same in the following steps.
         seconds: how long the step takes; with ``until``, how long it may take at most [s].
         until: the event that ends the step: ``"settled"``, when the joints of these actuators rest, or the names of two
             bodies, when one of them, or what it carries, touches the other. Without it the step ends by time.
@@ -88,7 +88,7 @@ class Actuate:
 
 
 class Gripping:
-    """A step of controls in an arm's model, or a simulated one like it: sets them, and knows when the step is over.
+    """Sets the controls of a step, in an arm's model or a simulated one like it, and knows when the step is over.
 
     Raises:
         InputError: there is no such actuator or body, it moves the arm, or a control is out of its range.
@@ -143,7 +143,7 @@ class Gripping:
         return False
 
     def _carried(self, name: str) -> NDArray[np.bool_]:
-        """Which bodies ``(nbody,)`` a body is or carries."""
+        """A mask ``(nbody,)`` of a body and all bodies that it carries."""
         known = [self._model.body(k).name for k in range(self._model.nbody)]
         body = known.index(as_choice("body", name, filter(None, known)))
         return np.array([body in ancestry(self._model, part) for part in range(len(known))])

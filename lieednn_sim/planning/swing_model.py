@@ -1,11 +1,11 @@
-"""What the passive joints of an arm do while the arm follows a path by a time law, linearised.
+"""A linear model of the passive joints of an arm while the arm follows a path by a time law.
 
-The arm's own joints are where the law s(t) has them. With x the passive joints' distance from where they rest at s,
+The arm's own joints are where the law s(t) puts them. Let x be the passive joints' displacement from their rest at s:
 
     M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0,
 
-whose coefficients are functions of s alone: forces of inverse dynamics, which are linear in accelerations and
-quadratic in velocities, and their slopes. So all laws along one path share a table.
+The coefficients are functions of s alone: forces of inverse dynamics, which are linear in accelerations and quadratic
+in velocities, and their slopes. So all laws along one path share one table of coefficients.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _STATIONS = 41  # of the table
 
 
 def longest_step(modes: Sequence[Mode]) -> float:
-    """The longest step of time in which some modes are computed well enough [s]."""
+    """The longest time step with which the given modes are integrated accurately enough [s]."""
     return min(0.1 / modes[0].frequency, 0.3 / modes[-1].frequency) / (2.0 * np.pi)
 
 
@@ -48,7 +48,7 @@ class SwingModel:
         self._table, self._hanging = CubicSpline(s, np.stack(tables, axis=1)), CubicSpline(s, hanging[0])
         rates[:, self._passive.dofs] = CubicSpline(s, shifts[0])(fine)
         self._rates = CubicSpline(fine, rates)
-        # Half squares of these are the energies left at the end.
+        # Half the squares of the scaled states are the energies left at the end.
         stiffness, inertia = (self._table(1.0)[:, part, :, : self._m] for part in (0, 4))
         curvature, axes = np.linalg.eigh(0.5 * (stiffness + np.swapaxes(stiffness, 1, 2)))
         self._scales = np.zeros((len(arms), 2 * self._m, 2 * self._m))
@@ -57,7 +57,7 @@ class SwingModel:
         self._scales[:, self._m :, self._m :] = np.swapaxes(np.linalg.cholesky(inertia), 1, 2)
 
     def _along(self, passive: PassiveJoints, rates: CubicSpline) -> tuple[Floats, Floats, Floats]:
-        """The table ``(S, 5, m, 2 m + 1)`` of a load, where it rests ``(S, m)``, and how that moves at unit s'.
+        """The table ``(S, 5, m, 2 m + 1)`` of a load, its position of rest ``(S, m)``, and the rate of that at unit s'.
 
         The table has slopes of forces over x and x', and the forces at rest: of what is constant, and of what grows
         with s', s'^2 and s''; and at last the inertia.
@@ -65,7 +65,7 @@ class SwingModel:
         s, m, qpos = np.linspace(0.0, 1.0, _STATIONS), self._m, self._qpos
         rest = passive.at_rest(qpos(s))
         stiffness, damping, inertia = (passive.slopes(of, rest) for of in ("position", "velocity", "acceleration"))
-        # Where it rests moves along the path so that no force arises.
+        # The position of rest moves along the path such that no force arises.
         hanging, step = passive.away(rest, qpos(s)), 1e-5
         ahead, behind = (passive.forces(passive.moved(qpos(s + side), hanging)) for side in (step, -step))
         shift = -np.matvec(np.linalg.pinv(stiffness, rcond=1e-6), ahead - behind) / (2.0 * step)
@@ -85,8 +85,8 @@ class SwingModel:
     def swing(self, law: CubicHermiteSpline, step: float, after: float) -> tuple[Floats, Floats, Floats]:
         """How the first load swings while the arm follows a law of time, and for some time after it [s].
 
-        The linear model's motion is corrected twice, by the linear response to the forces that MuJoCo's inverse
-        dynamics would need for it. What is left is of second order in the second correction, which stands for it.
+        The linear model's motion is corrected twice, by its response to the forces that MuJoCo's inverse dynamics lacks
+        for that motion. The error left is of second order in the second correction, its estimate.
 
         Returns:
             Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest last correction up to then
@@ -100,7 +100,7 @@ class SwingModel:
         drives = np.stack([np.ones_like(s), rate, rate**2, bend], axis=1)
         change, push, force = self._steps(step, self._table(s)[:, :1], drives)
         states = _marched(change, np.matvec(push, force))[:, 0]
-        for _ in range(2):  # corrections of what swings by the linear model
+        for _ in range(2):  # corrections of the linear model's motion
             missing = self._missing(step, (s, rate, bend), states)
             correction = _marched(change, np.matvec(push, -missing))[:, 0]
             states = states + correction
@@ -112,7 +112,7 @@ class SwingModel:
         return self._passive.moved(self._qpos(s), self._hanging(s) + away)
 
     def _missing(self, step: float, law: Sequence[Floats], states: Floats) -> Floats:
-        """Forces ``(K, 1, m)`` that the first load lacks for states ``(K + 1, 2 m)``, in the steps [s] between them."""
+        """Forces ``(K, 1, m)`` missing for the first load to have states ``(K + 1, 2 m)``, in the steps [s] between."""
         (s, rate, bend), passive, m = law, self._passive, self._m
         place, speed = np.split(0.5 * (states[1:] + states[:-1]), 2, axis=1)
         velocities = self._rates(s) * rate[:, None]
@@ -122,11 +122,11 @@ class SwingModel:
         return passive.forces(self.hung(s, place), velocities, accelerations)[:, None]
 
     def _steps(self, step: float, table: Floats, drives: Floats) -> tuple[Floats, Floats, Floats]:
-        """What the rule of midpoints makes of x and x' in each step [s] that it takes.
+        """The time steps [s] of the implicit midpoint rule for x and x'.
 
         The mean x' of a step is S (M x' + (F - K x) step / 2) with S = (M + D step / 2 + K step^2 / 4)^-1. Returns the
-        matrices ``(K, L, 2 m, 2 m)`` by which each step changes x and x', and ``(K, L, 2 m, m)`` by which a force F in
-        it does, and the forces ``(K, L, m)``.
+        matrices ``(K, L, 2 m, 2 m)`` that map x and x' over each step, those ``(K, L, 2 m, m)`` that map a force F in
+        it to a change of x and x', and the forces ``(K, L, m)``.
         """
         m, inertia = self._m, table[:, :, 4, :, : self._m]
         whole = np.einsum("kj,kljab->klab", drives, table[:, :, :4])
@@ -137,7 +137,7 @@ class SwingModel:
         return change, np.concatenate([step * push, 2.0 * push], axis=-2), -whole[..., -1]
 
     def left(self, step: float, law: Sequence[Floats], *, corrected: bool = False) -> tuple[Floats, Floats]:
-        """States at the end of a law ``(L, 2 m)``, whose squares are twice energies, and their slopes ``(L, 2 m, N)``.
+        """Scaled states ``(L, 2 m)`` at the end of a law, whose squares are twice energies, and slopes ``(L, 2 m, N)``.
 
         The law is s, s' and s'' in the middle of K time steps [s], each ``(K, 1 + N)`` with the N changes.
         The states can be ``corrected`` as in `swing`, once and by the first load's forces; the slopes are not.
@@ -152,7 +152,7 @@ class SwingModel:
             ending = ending + _marched(change, np.matvec(push, -self._missing(step, (s, rate, bend), states[:, 0])))[-1]
         middle, accelerated = 0.5 * (states[1:] + states[:-1]), np.diff(states[..., m:], axis=0) / step
         state = np.concatenate([middle, np.ones_like(middle[..., :1])], axis=-1)
-        # How a force in each step changes what is left at the end: backwards.
+        # How a force in each step changes the states at the end, found backwards in time.
         onward = np.empty_like(change)
         onward[-1] = self._scales
         for k in range(len(change) - 1, 0, -1):

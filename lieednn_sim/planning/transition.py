@@ -1,13 +1,12 @@
 """Transitions of a moving arm to a new target or onto a new path, with continuous velocity and acceleration.
 
-A base motion b(t) from rest to rest gets corrections that vanish at the time T_c of the fade. With s = t / T_c in
+To a base motion b(t) from rest to rest, corrections are added that fade to zero until the time T_c. With s = t / T_c in
 [0, 1] and the differences e, v and a of position, velocity and acceleration at t = 0,
 
     q(t) = b(t) + e (1 - 10 s^3 + 15 s^4 - 6 s^5) + v T_c (s - 6 s^3 + 8 s^4 - 3 s^5)
          + a T_c^2 / 2 (s^2 - 3 s^3 + 3 s^4 - s^5).
 
-To a target the base is the straight minimum-jerk motion; with T_c its duration, q(t) is the quintic polynomial between
-the two states.
+To a target, the base is the straight minimum-jerk motion. If T_c is its duration, q(t) is the quintic of both states.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.values import Floats
 
-# Coefficients of the corrections for unit e, v and a in s, the lowest power first.
+# Coefficients in s of the corrections for unit e, v and a, the lowest power first.
 _FADING = np.array(
     [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
 ).T.copy()
 _POWERS = np.arange(6.0)[:, None]
-# From the coefficients of a polynomial, the lowest power first, to its own and those of its first two derivatives:
-# ``(18, 6)``, for each power of theirs.
+# Maps the coefficients of a polynomial, the lowest power first, to those of itself and its first two derivatives: #
+# ``(18, 6)``, the three rows of each power next to each other.
 _DERIVATIVES = np.hstack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), k) for k in range(3)]).reshape(18, 6)
-# Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
+# Fraction of the limits of velocity and acceleration that a base may use alone, and together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
-# What is tried: factors on the base's duration, and durations of the fade over the transition's.
+# What is tried: factors on the base's duration, and ratios of the fade's duration to the transition's.
 _SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
 # Samples of a transition, and of a shorter fade.
 EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
@@ -54,7 +53,7 @@ _EVEN_POWERS = _powers(EVEN)
 
 
 class Straight:
-    """The straight minimum-jerk motion, with what of a `PPoly` is needed, whose attributes take ten times as long.
+    """The straight minimum-jerk motion, with the attributes of a `PPoly` used here, at a tenth of the access time.
 
     Attributes:
         x: ``(2,)`` times of its begin, 0, and end [s].
@@ -68,11 +67,11 @@ class Straight:
         self.c[5] = start
 
     def __call__(self, t: Floats, nu: int = 0) -> Floats:
-        """Configurations ``(K, n)``, or their derivatives of an order up to 2, at times ``(K,)`` up to the end."""
+        """Configurations ``(K, n)``, or their derivatives of order ``nu`` up to 2, at times ``(K,)`` up to the end."""
         return np.asarray(_powers(t) @ (_DERIVATIVES[nu::3] @ self.c[::-1, 0]))
 
 
-# From rest to rest; a piecewise polynomial is a path that was searched for.
+# A motion from rest to rest; a piecewise polynomial is a path that was searched for.
 BaseMotion: TypeAlias = PPoly | Straight
 
 
@@ -80,7 +79,7 @@ BaseMotion: TypeAlias = PPoly | Straight
 class Transition:
     """A motion of the joints from a moving state to rest, twice continuously differentiable where its base is."""
 
-    base: Any  # b, a `BaseMotion` from rest to rest over [0, its last breakpoint], or what has its attributes
+    base: Any  # b, a `BaseMotion` over [0, its last breakpoint], or an object with the same attributes
     slower: float  # factor on its duration
     differences: Floats  # ``(3, n)`` e, v and a
     fade: float  # T_c [s]
@@ -101,7 +100,7 @@ class Transition:
         return self(self.duration * EVEN) if self._own is None else self._sum(_EVEN_POWERS)
 
     def __call__(self, t: Floats, orders: int = 3) -> Floats:
-        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``, or the first of these orders.
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``, or only the first ``orders``.
 
         It rests after its end.
         """
@@ -124,8 +123,8 @@ class Transition:
 
     @cached_property
     def _own(self) -> Floats | None:
-        """The base's coefficients ``(6, n)``, the lowest first, if it is straight, and corrections take as long."""
-        # With them the whole motion is one polynomial.
+        """The base's coefficients ``(6, n)``, the lowest first, if it is straight and the corrections take as long."""
+        # In this case the whole motion is one polynomial.
         return self.base.c[::-1, 0] if self.fade == self.duration and isinstance(self.base, Straight) else None
 
     @cached_property
@@ -160,12 +159,12 @@ def transition(
     Raises:
         PlanError: no transition tried keeps the limits and the clearance.
     """
-    # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
+    # The base's acceleration is left out: it begins at rest, and a spline's acceleration is not exact.
     differences, lasts = now.copy(), float(base.x[-1])
     differences[:2] -= base.c[:-3:-1, 0]
     refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
-    # Where nothing is left of the corrections, all transitions take the way of the base: what blocks it after a share.
+    # After the fade all transitions are on the base's path: what blocks this after a share of it is looked up once.
     known: dict[float, str | None] = {_SHARES[0]: None}
 
     def blocked_after(share: float) -> str | None:
@@ -193,13 +192,13 @@ def transition(
                 return result
         refusal = f"no transition keeps clear of {blocked}"
         if not moves:
-            # All others take the same way.
+            # Without corrections, all transitions take the same path.
             break
     raise PlanError(refusal)
 
 
 def _evenly(q: Floats) -> Floats:
-    """Configurations along ``(K, n)``, as far from each other as every second one of these is at most."""
+    """Configurations along ``(K, n)``, evenly as far apart as every second one of these is at most."""
     steps = q[1:] - q[:-1]
     ways = np.sqrt(np.vecdot(steps, steps))
     way = np.add.accumulate(ways)
@@ -212,12 +211,12 @@ def _evenly(q: Floats) -> Floats:
 def straight(arm: Arm, start: Floats, target: Floats, least: float) -> Straight:
     """The straight minimum-jerk motion within `BASE_FRACTION` of the limits, in at least ``least`` [s]."""
     distance = np.abs(target - start)
-    # The law's largest speed and acceleration on [0, 1].
+    # The factors are the minimum-jerk law's largest speed and acceleration on [0, 1].
     return Straight(start, target, max(least, _slower(arm, 1.875 * distance, 10.0 / math.sqrt(3.0) * distance)))
 
 
 def along(arm: Arm, motion: Motion) -> PPoly:
-    """A planned motion as a base, slowed down until it keeps `BASE_FRACTION` of the limits."""
+    """A planned motion as a base motion, slowed down until it keeps `BASE_FRACTION` of the limits."""
     spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
     slower = max(1.0, _slower(arm, motion.qd, np.diff(motion.qd, axis=0) / motion.timestep))
     powers = slower ** -np.arange(3.0, -1.0, -1.0)
@@ -225,6 +224,6 @@ def along(arm: Arm, motion: Motion) -> PPoly:
 
 
 def _slower(arm: Arm, rates: Floats, accelerations: Floats) -> float:
-    """How many times longer a motion of these rates must take to keep `BASE_FRACTION` of the limits."""
+    """The factor on the duration of a motion with these rates with which it keeps `BASE_FRACTION` of the limits."""
     fast, bent = np.abs(rates) / arm.velocity_limits, np.abs(accelerations) / arm.acceleration_limits
     return max(float(fast.max()) / BASE_FRACTION, math.sqrt(bent.max() / BASE_FRACTION))

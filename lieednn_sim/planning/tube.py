@@ -1,11 +1,11 @@
-"""The tube of a plan: deviations of its network's state that are proved to end at the target without contact.
+"""The tube of a plan: the deviations of its network's state that provably end at the target without contact.
 
-A deviation d of the visible neurons at one instant, the hidden ones being as planned, decays as d' = -gamma d in a
-cascade, and in another network stays below |d(0)| times the gain of `stability.Robustness.push_gain`. `arm.deviations`
-bounds how far the joints then are from the plan, and `arm.clearance_bounds` how far what they move is from contact, on
-intervals of time that are halved until the bound is sharp. `docs/mathematics/tube.md` proves each step, and says what
-is assumed and what is not covered; the error of a controller that tracks the deviated motion is not, unless given as
-``tracking``.
+Let d be a deviation of the visible neurons at one instant, while the hidden ones are as planned. In a cascade it decays
+by d' = -gamma d; in any other network |d| stays below |d(0)| times the gain of `stability.Robustness.push_gain`.
+`arm.deviations` bounds how far the joints then are from the plan, and `arm.clearance_bounds` how far what they move is
+from contact, on intervals of time that are halved until the bound is sharp. `docs/mathematics/tube.md` proves each step
+and says what is assumed, and what is not covered: the error of a controller that tracks the deviated motion is covered
+only if it is given as ``tracking``.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 _SMALLEST = 1e-4  # smallest size at which the projection is bounded [m]
-# Differences of a motion's states and joints from those computed again [rad, m]: what integration leaves in any case,
-# and the largest for which the motion is its network's path. The tube allows for them.
+# Differences of a motion's states and joints from those computed again [rad, m]: what integration leaves in any case, #
+# and the largest for which the motion still counts as its network's path. The tube allows for them.
 _INTEGRATED, _SAME = 1e-6, 5e-5
 
 
@@ -40,7 +40,7 @@ _INTEGRATED, _SAME = 1e-6, 5e-5
 class Tube:
     """The deviations of a network's visible state from its path that provably end at the target without contact.
 
-    They may occur anywhere on the way.
+    They may occur anywhere on the path.
 
     All links may deviate at once: link i by any turn up to `rotation` and any shift up to `translation`, in the
     coordinates omega and v of its twist. The module says what is proved and what is assumed.
@@ -49,13 +49,13 @@ class Tube:
         size: s, the shift of every link [m]. Each link may at the same time turn by s over its lever arm, the longest
             distance of the end effector from it on the way: by as much as moves the end effector by s. Sizes above 0.1
             are not looked for.
-        rotation: ``(N,)`` largest deviations |d omega| [rad].
-        translation: ``(N,)`` largest deviations |d v| [network coordinates, `Arm.length_scale` m].
-        push: largest Euclidean norm, over all visible coordinates, of a perturbation of the state that is harmless in
-            every direction [network coordinates].
+        rotation: ``(N,)`` largest deviation |d omega| of each link [rad].
+        translation: ``(N,)`` largest deviation |d v| of each link [network coordinates, `Arm.length_scale` m].
+        push: largest Euclidean norm, over all visible coordinates, up to which a perturbation of the state is harmless
+            in every direction [network coordinates].
         gain: largest growth of a deviation; 1 for a cascade.
         t: instant of the motion that limits the tube [s].
-        pair: names of the geoms that limit it; empty if not contact does.
+        pair: names of the two geoms whose contact limits the tube; empty if something else limits it.
     """
 
     size: float
@@ -87,13 +87,12 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
     Args:
         arm: the arm that the plan is for, in its scene.
         plan: the plan.
-        tracking: largest errors ``(n,)`` of the joints' tracking that the tube shall allow for, or one for all [rad,
-            m].
+        tracking: largest tracking errors ``(n,)`` of the joints that the tube allows for, or one for all [rad, m].
         margin: distance that everything keeps from contact [m].
 
     Raises:
-        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path;
-            or closed loops move what could touch something (`ClearanceBounds`).
+        InputError: a value is malformed or negative, the plan has no network, its motion is not the network's path, or
+            closed loops move geoms that could touch something (`ClearanceBounds`).
         NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
         PlanError: the motion comes too close to contact for any tube.
     """
@@ -122,17 +121,17 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
     each = units / [1.0, arm.length_scale]
     push = size * float(each.min()) / gain
     if not cascade:
-        # Only a ball is proved to stay inside, and all links at once must be in it.
+        # Only balls of the norm are proved to be invariant, so the deviations of all links together must be in one.
         size = push / float(np.linalg.norm(each))
     rotation, translation = size * each.T
     return Tube(size, rotation, translation, push, gain, t, path.bounds.names(pair) if pair[0] >= 0 else ())
 
 
 def _off_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> float:
-    """How far a motion's states are from those of its network, and its joints from those nearest to them [rad, m].
+    """Largest difference of a motion's states and joints from those computed from its network [rad, m].
 
     Raises:
-        InputError: they are so far that the motion is not the network's path.
+        InputError: it is so large that the motion is not the network's path.
     """
     off = np.inf if motion.xi.shape[1] != network.n_visible else _INTEGRATED
     if np.isfinite(off) and motion.tau[-1] > 0.0:
@@ -160,13 +159,13 @@ class _Path:
         self._states = Deviations(twist, motion.q, np.zeros((arm.n_links, 2)), slack)
 
     def largest(self, sizes: Floats) -> tuple[float, float, tuple[int, int]]:
-        """The largest scale of ``sizes`` ``(N, 2)`` [rad, m] without contact, the instant and the geoms that limit it.
+        """The largest scale of ``sizes`` ``(N, 2)`` [rad, m] without contact, and the instant and geoms that limit it.
 
         Raises:
             PlanError: there is none.
         """
         last = len(self._motion.t) - 1
-        # A first estimate at some instants, of 0.1 m at most: at this size the projection is then bounded.
+        # A first estimate from a few instants, at most 0.1 m; then the projection must be bounded at this size.
         spread, best, t, pair = self._spread(_SMALLEST, sizes), 0.1, 0.0, (-1, -1)
         for k in np.linspace(0, last, 16) if np.isfinite(spread).all() else ():
             _, there, geoms = self._scales(k, k, spread, best)
@@ -181,7 +180,7 @@ class _Path:
             )
         edges = np.linspace(0.0, last, min(48, last) + 1)
         heap: list[tuple[float, float, float]] = [(-1.0, a, b) for a, b in pairwise(edges)]
-        # The bound for all instants must come near the least one at single instants, for at most so many measurements.
+        # Halve intervals until the bound for all instants is near the least one at single instants, at most 4000 times.
         for _ in range(4000):
             check_time()
             scale, a, b = heapq.heappop(heap)
@@ -205,7 +204,7 @@ class _Path:
         return self._arm.retractor.spread(replace(self._states, size=radius * sizes)) / radius
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
-        """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""
+        """The scales of `ClearanceBounds` in an interval of samples, at all its instants and at its middle alone."""
         middle, path, curve, _ = self._cubics.around([a], [b])
         rest = np.stack([self._rest + curve, self._rest + 0.0 * curve], axis=1)
         first = min(int(a), len(spread) - 2)

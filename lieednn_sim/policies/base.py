@@ -1,6 +1,6 @@
 """The base class of policies, which map the measured joints and the present target to the next reference.
 
-It knows no simulator: `simulation.follow` runs it behind a simulated arm, `control_loop` behind anything else.
+A policy knows no simulator: `simulation.follow` runs it with a simulated arm, `control_loop` with any other arm.
 """
 
 from __future__ import annotations
@@ -79,28 +79,28 @@ class Policy(ABC):
             Read-only joint coordinates and rates ``(n,)``; between two periods a controller may interpolate by a cubic.
 
         Raises:
-            InputError: a value is malformed, the target is beyond the position limits, the joints measured first are
-                so by more than a range, or the policy was never reset and nothing is measured.
+            InputError: a value is malformed, the target is beyond the position limits, the first measured joints exceed
+                them by more than a range, or the policy was never reset and nothing is measured.
         """
         shape = (self.arm.n_joints,)
         seen = None if measured is None else as_floats("measured", measured, shape)
         goal = as_floats("target", target, shape)
-        # A target at rest is held against the limits once.
+        # A target that stays the same is checked against the limits only once.
         if self._target is None or goal.tolist() != self._target.tolist():
             if (self.arm.limit_excess(goal) > 0.0).any():
-                self.arm.check_position(goal, "target")  # which says what is wrong, and takes longer
+                self.arm.check_position(goal, "target")  # raises, and says what is wrong; takes longer
             if "q" not in vars(self):
                 if seen is None:
                     raise InputError("it is not known where the arm is: call reset(q), or give measured joints")
                 self.reset(seen)
             if seen is not None and self._target is None:
-                # No sensor's noise is that large; later, a wrong value shall not end a loop that runs.
+                # No sensor's noise is that large. Later measurements are not checked: one must not end a running loop.
                 far = self.arm.limit_excess(seen)[: len(seen)] > self.arm.ranges + self.arm.start_tolerance
                 if far.any():
                     raise InputError(f"measured is in other units? {self.arm.describe_excess(seen, int(far.argmax()))}")
             self._target = goal.copy()
         if self._turns and seen is not None:
-            seen = self.arm.nearest_turn(seen, self.q)  # encoders may count within a turn
+            seen = self.arm.nearest_turn(seen, self.q)  # encoders may count within one turn only
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
         if (given := [part.shape for part in parts]) != [shape, shape]:
             raise InputError(f"a policy's act must return joints and rates, two arrays of shape {shape}, got {given}")

@@ -1,4 +1,4 @@
-"""Bounds on joint velocities that keep limits of position and clearance: a braking rule, and barriers.
+"""Bounds on joint velocities that keep position limits and clearance: a braking rule, and barriers.
 
 Barriers are functions of the joint positions that must stay positive. For one of value d, the filter requires
 d' + c (d + h (d' + d'_old) / 2) >= 0, a control barrier condition (Ames et al., European Control Conference 2019) that
@@ -48,9 +48,9 @@ class FilterOptions(PlannerOptions):
 
 
 class JointBounds:
-    """Base class of what chooses the joints' velocities at the end of each step, by the braking rule.
+    """Base class of filters that choose the joints' velocities at the end of each step by the braking rule.
 
-    It sets the step h [s] and the limits ``(n,)`` that it keeps, of accelerations finite ones.
+    A subclass sets the step h [s] and the limits ``(n,)`` to keep; acceleration limits must be finite.
     """
 
     timestep: float
@@ -76,7 +76,7 @@ class JointBounds:
 def fastest(left: Floats, a: Floats, h: float) -> Floats:
     """Largest velocities at the end of a step h [s] from which joints can brake before a limit by accelerations ``a``.
 
-    They are ``left`` away from it at half of the step if they stop then; beyond it they return.
+    At half of the step the joints are ``left`` away from the limit; joints beyond it return.
     """
     left = np.minimum(left, 1e6)
     root = np.sqrt(np.maximum(0.25 * h**2 + 2.0 * left / a, 0.0))
@@ -87,11 +87,11 @@ def braking_in_time(arm: Arm, middle: Floats, rates: Floats, old: Floats, h: flo
     """Velocities ``(n,)`` at the end of a step h [s] from which an arm can brake before its position limits.
 
     Args:
-        arm: its limits of position and acceleration count.
+        arm: the arm, with its limits of position and acceleration.
         middle: joints ``(n,)`` at half of the step.
-        rates: velocities that are wished for, within the limits of velocity and acceleration; near position limits
-            those returned are smaller, and of ball joints within the latter.
-        old: velocities at its beginning.
+        rates: desired velocities, within the limits of velocity and acceleration. Near position limits those returned
+            are smaller; those of ball joints keep the acceleration limits.
+        old: velocities at the beginning of the step.
     """
     (low, high), a = arm.position_limits.T, arm.acceleration_limits
     reach = middle + rates * (h + 0.5 * np.abs(rates) / a)
@@ -103,12 +103,12 @@ def braking_in_time(arm: Arm, middle: Floats, rates: Floats, old: Floats, h: flo
         ahead = at + rates[ball] * (h + np.abs(rates[ball]) / a[ball])
         if math.hypot(*at) + math.hypot(*(ahead - at)) > largest:
             rates = rates.copy()
-            # Towards where it would leave its limits, and outwards where it is; again, since some coordinates may brake
-            # as hard as they can already, so that others have to.
+            # Brake towards where the joint would leave its limits, and outwards where it is. Repeat this, since some
+            # coordinates may already brake as hard as they can, so that others have to.
             for way in (ahead, at) * 4:
                 outward = way / max(math.hypot(*way), 1e-300)
                 least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
-                # Less what it comes nearer in half a step, along the limit.
+                # Minus the approach in half a step by motion along the limit.
                 left = largest - outward @ at - 0.125 * h**2 * (rates[ball] @ rates[ball]) / largest
                 excess = outward @ rates[ball] - fastest(left, least, h)
                 if excess > 0.0:
@@ -118,7 +118,7 @@ def braking_in_time(arm: Arm, middle: Floats, rates: Floats, old: Floats, h: flo
 
 
 class ApproachBounds:
-    """Upper bounds of the rates at which distances of pairs change; pairs too far apart to matter are then left out.
+    """Upper bounds of the rates at which distances of pairs change, by which pairs too far apart are left out.
 
     A degree of freedom that moves both geoms of a pair, ids ``(P, 2)``, does not change their distance. A unit velocity
     of a slide moves the points of a geom at a speed of 1; that of a rotation, at most at the distance of its anchor
@@ -146,14 +146,14 @@ class ApproachBounds:
 class ClearanceBarrier:
     """Distances of pairs of geoms minus their margins, for finite acceleration limits ``(n,)`` and steps of h [s]."""
 
-    # Several constraints may need the joints' accelerations to brake, and normals turn.
+    # It is small, since several constraints may need the joints' accelerations to brake, and normals turn.
     braking_fraction = 0.15
     _near: Distances
 
     def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float, options: FilterOptions) -> None:
         self._acceleration, self._timestep, self._options = acceleration_limits, timestep, options
         self.collisions = Collisions(arm)
-        # By geom ids; other entries than those of pairs are never read.
+        # Margins by geom ids; entries that are not those of pairs are never read.
         self._margins = np.zeros((arm.model.ngeom, arm.model.ngeom))
         own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
         self._margins[pairs] = np.where(own, options.own_margin, options.margin)
@@ -165,7 +165,7 @@ class ClearanceBarrier:
         self._approach = ApproachBounds(arm, self.collisions.pairs)
 
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step, as of `needed`."""
+        """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step, see `needed`."""
         near = self._near = self.collisions.distances(q, self.needed(q, velocity, speeds))
         return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian
 
@@ -223,6 +223,6 @@ class AngleBarrier:
         self.limits = np.minimum(np.maximum(self._largest - 5e-3, angles), self._largest)
 
     def name(self, row: int) -> str:
-        """As of `ClearanceBarrier`."""
+        """See `ClearanceBarrier`."""
         # The names of a ball joint's three coordinates differ in their last two letters.
         return f"the position limit of joint {self._arm.joint_names[self._balls[row, 0]][:-2]!r}"

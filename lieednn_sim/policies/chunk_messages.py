@@ -1,6 +1,6 @@
 """Chunks as other software has them: a step of LeRobot's pipelines, and trajectory messages of ROS 2.
 
-Both are known by their attributes; neither ``lerobot`` nor ``rclpy`` is imported.
+Both are recognised by their attributes; neither ``lerobot`` nor ``rclpy`` is imported.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ChunkStep:
         dt: time between two targets of a chunk [s].
         delay: age of the observation that a chunk was made from when it comes [s]; a transition may have its own in
             its complementary data, as ``delay``.
-        degrees: whether hinges are in degrees there, not in radians.
+        degrees: whether the pipeline has hinges in degrees, not in radians.
 
     Raises:
         InputError: a time is not positive.
@@ -50,7 +50,7 @@ class ChunkStep:
         self._like: Any = np.asarray
         self._stay: Floats | None = None  # the target before chunks
         self.reset()
-        # Pipelines take instances of their own base class alone; as an abstract one it knows others.
+        # Pipelines accept only instances of their base class, which is abstract, so that others can be registered.
         if lerobot := sys.modules.get("lerobot.processor"):
             lerobot.ProcessorStep.register(type(self))
 
@@ -96,7 +96,7 @@ class ChunkStep:
         return features
 
     def get_config(self) -> dict[str, Any]:
-        """Nothing that a pipeline could be saved with: a policy is given when one is loaded."""
+        """An empty configuration: a pipeline that is loaded is given its policy anew."""
         return {}
 
     state_dict = get_config
@@ -111,7 +111,7 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
     Its points need not be evenly spaced: between them joints go straight, or by cubics if the points have velocities.
 
     Args:
-        arm: the arm, with the joints of the message, in any order, and maybe others that it holds.
+        arm: the arm; the message has its joints, in any order, and maybe others.
         message: the message, of any library.
         now: the policy's time that ``time_from_start`` counts from [s].
 

@@ -1,13 +1,14 @@
 """A certified network that follows chunks of joint targets, as learned policies emit them: late, and with faults.
 
-A chunk is judged before anything moves (`planning.chunks`): it is mended where that is safe, or refused, and then the
-old one goes on. The reference goes over to its curve at the time that it is now (`go_over`), and what has passed is
-dropped. When chunks run out, it rests at the last target. Limits, arrival and contact: `docs/howto/action_chunks.md`.
+A chunk is judged before anything moves (`planning.chunks`): it is repaired if that is safe; otherwise it is refused,
+and the old one goes on. The reference goes over to the new curve at the present time (`go_over`), and earlier targets
+are dropped. When chunks run out, it rests at the last target. On limits, arrival and contact see
+`docs/howto/action_chunks.md`.
 
-The end of what is coded is the last target, or of a long chunk a point of its curve, from where the rest is coded. That
-nothing touches is proved a few intervals ahead in each period, for joints within a tolerance of the motion, less at its
-beginning; where a look finds the network further off, another code is made. Nothing is proved of arms whose loops move
-parts (`Arm.dependents`), and among obstacles that were seen to move.
+A code ends at the last target or, for a long chunk, at a point of its curve from which the rest is coded later. In each
+period it is proved for a few intervals ahead that nothing touches, with joints within a tolerance of the motion, which
+is smaller at the beginning; if the network is found further off, another code is made. Nothing is proved for arms whose
+loops move parts (`Arm.dependents`), nor among obstacles that were seen to move.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ class ChunkOptions(ReplanningOptions):
     """Options of the policy ``lieednn-chunks``.
 
     Attributes:
-        repaired: kinds of a `Finding` that are repaired; chunks with others are refused. With ``contact`` the arm goes
-            to the end of a chunk that touches something on another way, straight or searched for.
-        newest: weight of the newest chunk where an earlier one has targets too; the earlier one has the rest, as it
-            was blended itself (temporal ensembling with weights that fall exponentially with age).
+        repaired: kinds of a `Finding` that are repaired; chunks with others are refused. With ``contact``, if a chunk
+            touches something, the arm goes to its end by another way, straight or searched for.
+        newest: weight of the newest chunk where an earlier one has targets, too. The earlier one, itself blended, has
+            the rest (temporal ensembling with weights that fall exponentially with age).
     """
 
     repaired: tuple[str, ...] = field(default=_REPAIRED, metadata={"choices": (*_REPAIRED, "contact")})
@@ -90,17 +91,17 @@ class ChunkPolicy(ReplanningPolicy):
     how long ahead its motion is ``proved`` to be clear. Its arguments are those of `ReplanningPolicy`.
 
     Attributes:
-        source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
-            measured; returns None, or the arguments of `accept`. None at first; to be set.
-        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known, and what
-            refuses a later part of it.
+        source: a function to be set, None at first. It is called in each period with `now` and the measured joints
+            ``(n,)``, or the reference if nothing is measured, and returns None, or the arguments of `accept`.
+        verdict: that of the last chunk; while it is followed, ``unproved`` may be added, or a finding that refuses a
+            later part.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """
 
     channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})
     _taken_over, _used = 1.0, 1.0
-    _beyond = _TOLERANCE  # by what a code lacks
+    _beyond = _TOLERANCE  # the error of a code
     source: Callable[[float, Floats], tuple[ArrayLike | RigidTransform, float, float] | None] | None = None
     _defaults = ChunkOptions
     _options: ChunkOptions
@@ -110,12 +111,12 @@ class ChunkPolicy(ReplanningPolicy):
         """See `Policy`; unchecked."""
         self.verdict, self.counts = ChunkVerdict(accepted=True), Counter[str]()
         self._asked: Floats | None = None
-        # The curve of the newest chunk, in the policy's time, and later parts of it.
+        # The curve of the newest chunk, with its begin in the policy's time, and later parts of the chunk.
         self._curve: _Part | None = None
         self._later: list[_Part] = []
         self._newest, self._left = -math.inf, 0.0
         super().begin(q)
-        bounds_of(self.arm)  # which takes long the first time
+        bounds_of(self.arm)  # made now, since the first time takes long
 
     @property
     def now(self) -> float:
@@ -124,9 +125,9 @@ class ChunkPolicy(ReplanningPolicy):
 
     @property
     def chunk_time(self) -> float:
-        """The time for which the chunk has what the reference is at [s]; once it follows none, the last such time.
+        """The time of the chunk that the reference has reached [s]; if it follows none, the last such time.
 
-        It is before `now` where the reference is late, slower, or waits for the arm.
+        It is before `now` if the reference is late, slower, or waits for the arm.
         """
         if self._curve is None:
             return self._left
@@ -136,12 +137,12 @@ class ChunkPolicy(ReplanningPolicy):
         return begin + float(motion.base.clock(np.array([self.time]), 1)[0, 0])
 
     def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
-        """Follow a chunk from now on, or refuse it, also a malformed one; call it between two steps, or by `source`.
+        """Follow a chunk from now on, or refuse it, even if malformed; call this between two steps, or use `source`.
 
         Args:
-            chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
-                each becomes the joint target next to the one before (`solve_ik`), in about a millisecond.
-            t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
+            chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, each of
+                which becomes the joint target nearest to the one before (`solve_ik`), in about a millisecond.
+            t0: time of the first target, on the clock of `now` [s]. If it is in the future, the present motion goes on
                 until then. The last target may be up to two minutes ahead.
             dt: time between two targets [s].
 
@@ -169,7 +170,7 @@ class ChunkPolicy(ReplanningPolicy):
         return self.verdict
 
     def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
-        """Targets ``(H, n)`` where earlier ones have their weight."""
+        """Targets ``(H, n)``, blended with those of earlier chunks."""
         if self._curve is None or self._options.newest == 1.0:
             return targets
         then, curve = self._curve
@@ -180,7 +181,7 @@ class ChunkPolicy(ReplanningPolicy):
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration), 1)[0]
 
     def _turn_onto(self, parts: list[_Part]) -> list[Finding]:
-        """Follow parts, or go to their end on another way if they touch something and that is allowed."""
+        """Follow parts or, if they touch something and that is allowed, go to their end by another way."""
         try:
             self._begin_parts(parts)
         except RefusedError as refused:
@@ -201,7 +202,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._curve, self._later, self._search, self._path = curve, [], None, None
 
     def _begin_parts(self, parts: list[_Part]) -> None:
-        """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
+        """Follow the last part whose time has come, and keep the later ones; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
             u, q = curve.places(0.0, _APART)
@@ -215,7 +216,7 @@ class ChunkPolicy(ReplanningPolicy):
     def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0, *, whole: bool = False) -> None:
         """Go over to a curve at one of its times, for a share of the horizon; raises `RefusedError`.
 
-        What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
+        The part that is coded is tested for contact or, if ``whole``, all that is left of the curve.
         """
 
         def onto(now: Floats) -> ChunkMotion:
@@ -227,7 +228,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._require_clear(q, times)
             return motion
 
-        # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
+        # A shorter part has a smaller code, which is more exact. If even that is off, further codes lead back.
         for part, most in ((1.0, 0.5 * _TOLERANCE), (0.5, _TOLERANCE), (0.25, np.inf)):
             horizon = part * share * _HORIZON
             try:
@@ -241,14 +242,14 @@ class ChunkPolicy(ReplanningPolicy):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
             t = motion.duration * EVEN[::3]
-            # It begins where the state is; the reference keeps within the limits.
+            # The motion begins at the state, maybe beyond a limit; the reference keeps within the limits.
             low, high = self.arm.position_limits.T
             beyond = np.maximum(np.maximum(low - q, q - high), 0.0)
             off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + beyond
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, after: Floats) -> None:
-        """Raise `RefusedError` if something is in the way at ``(K, n)``, looked at every `_APART`, ``(K,)`` s ahead."""
+        """Raise `RefusedError` if something is in the way at ``(K, n)``, ``(K,)`` s ahead; tests are `_APART` apart."""
         steps = q[1:] - q[:-1]
         count = (np.add.accumulate(np.sqrt(np.vecdot(steps, steps))) / _APART).astype(int)
         seen = np.concatenate([[0], (count[1:] > count[:-1]).nonzero()[0] + 1, [len(q) - 1]])
@@ -259,13 +260,13 @@ class ChunkPolicy(ReplanningPolicy):
             raise RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
-        """Go on with the proof of the present motion, until the arm need not brake for want of it, and rest before it.
+        """Extend the proof of the present motion until the arm need not brake for lack of it, and rest before its end.
 
         At least one interval is looked at in each period, and eight at most.
         """
         if (proof := self._proof) is None:
             return
-        # The deceleration of the pace with which it brakes, by 0.8 of the limits of acceleration.
+        # The deceleration of the pace in braking, which uses 0.8 of the acceleration limits.
         most, half = 0.8 / GENTLY * self._braking, 0.5 * self.period
         enough = self.time + 4.0 * half * self.pace + self.pace**2 / (2.0 * most)
         for k in range(8):
@@ -279,7 +280,7 @@ class ChunkPolicy(ReplanningPolicy):
                     first, second = proof.pair
                     text = f"rests in {proof.time - self.time:.2f} s, before {first!r} may touch {second!r}"
                     self.verdict = replace(self.verdict, findings=(*known, Finding("unproved", text)))
-        # The pace p at the end of the period from which it can rest in time, also as p falls in steps.
+        # The pace p at the end of the period from which the arm can rest in time, although p falls in steps.
         left = max(proof.time - self.time - half * (self.pace + 0.5 * half * most), 0.0)
         p = most * (math.sqrt(half**2 + 2.0 * left / most) - half)
         self.rest_at = min(self.rest_at, self.time + p**2 / (2.0 * self._braking))
@@ -302,7 +303,7 @@ class ChunkPolicy(ReplanningPolicy):
         inside, qd = super().act(measured, target)
         half, v, most = 0.5 * self.period, self.arm.velocity_limits, self._max_gain
         held = self.q + half * self.qd
-        # After limits held it back, the reference comes back to the network at 20 / s.
+        # A reference that limits have held back returns to the network at 20 / s.
         rate = np.minimum(np.maximum(qd + 20.0 * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
         rate = braking_in_time(self.arm, held, rate, self.qd, self.period)
@@ -310,7 +311,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
         waiting, pulled = super()._listen(measured, drawn)
-        # Servos that lag a little could not follow a wait that begins as suddenly as limits allow, and lag more.
+        # The pace falls gently: servos that lag a little could not follow a sudden wait, and would lag more.
         return max(waiting, self.pace - self.period * self._braking), pulled
 
     def _decide(self, target: Floats) -> None:
@@ -325,7 +326,7 @@ class ChunkPolicy(ReplanningPolicy):
         try:
             self._go_on()
         except RefusedError as refused:
-            # It rests at the end of what it follows.
+            # The arm rests at the end of the motion that it follows.
             self._command(self.course.transition.end, None)
             self.verdict = replace(self.verdict, findings=(*self.verdict.findings, refused.finding))
             self.counts[refused.finding.kind] += 1
@@ -339,12 +340,12 @@ class ChunkPolicy(ReplanningPolicy):
             self._begin_parts(self._later)
         elif self._curve is not None and isinstance(motion, ChunkMotion):
             base, at = motion.base, np.array([self.time])
-            # Before it begins to slow down.
+            # The rest is coded before the motion begins to slow down.
             ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
             looks = self._periods % self._options.look_every == 0 and 0.0 < self.time < motion.duration
-            # Once it slows down, another code would let it hurry again.
+            # Once the motion slows down, another code would speed it up again.
             most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
-            # The code may not be near enough, or joints pull.
+            # The network may be off because its code is not exact, or joints pull.
             if ends or (looks and np.abs(motion(at, 1)[0] - self.drawn).max() > most):
                 self._join(base.curve, float(base.clock(at, 1)[0, 0]), 1.0 if ends else 0.5)
 

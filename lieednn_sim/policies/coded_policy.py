@@ -1,15 +1,16 @@
-"""Policies along coded motions of one certified network, of which another may be taken at any time.
+"""Policies that follow coded motions of one certified network, and may change to another motion at any time.
 
 With the universal network's time z, its field F, and the clock's rate r(t) of a coded motion, the visible state obeys
 
     x_v' = p r(t) F_v(x) + k d (xi(q) - xi(q_r)),    x_h' = p r(t) F_h(x),    t' = p,
 
 with s, k and d of `feedback`, and a pace p <= s that keeps the joints' accelerations within their limits, both while
-speeding up and while slowing down. Another motion changes the code, that is the hidden state, and the bias. The visible
-state stays as it is, and the code is such that its velocity and acceleration do too (`transition`).
+speeding up and while slowing down. A change to another motion replaces the code, that is the hidden state, and the
+bias. The visible state stays the same, and the code is chosen so that its velocity and acceleration do, too
+(`transition`).
 
 What is proved: the certificate covers every code and every bias. After the last change, once the arm keeps up (s > 0
-and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. That a
+and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. Whether a
 transition keeps limits is only checked, at samples.
 
 Before a time t_r at which the arm must rest, p <= (2 c (t_r - t))^(1/2), with the deceleration c that limits allow.
@@ -35,9 +36,9 @@ from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
 RESTS = 1e-3  # pace below which the arm rests
-# Time in which the pace may fall to zero where no joint moves fast, and duration of the shortest motions [s].
+# Least time in which the pace falls from 1 to 0, and duration of the shortest motions [s].
 SOONEST = 0.25
-GENTLY = 0.35  # part of the limits of acceleration by which the pace falls before the arm must rest
+GENTLY = 0.35  # fraction of the acceleration limits that is used when the pace falls before the arm must rest
 
 
 class CodedPolicy(FeedbackPolicy):
@@ -52,16 +53,16 @@ class CodedPolicy(FeedbackPolicy):
         time: time of the present motion [s].
         rest_at: t_r, infinite while the arm need not rest; to be set by `_decide`.
         pace: factor p of the last period.
-        drawn: ``(n,)`` configuration of the network's state, which is the reference but for position limits.
+        drawn: ``(n,)`` configuration of the network's state; the reference is the same within the position limits.
     """
 
     certified = True
     channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1"})
-    # Parts of the limits of acceleration: what a change may take over, and what the pace may use.
+    # Fractions of the acceleration limits: of what a new motion takes over at most, and what changes of pace may use.
     _taken_over, _used = 0.5, 0.85
-    # How far the network may be beyond a position limit while joints there have its rates.
+    # How far the network may be beyond a position limit before the rates of joints held there are set to zero.
     _beyond = 0.0
-    # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
+    # Set with each new motion: t_r, the network's time z, the deceleration c, and the velocity at a pace of 1.
     rest_at: float
     _z: float
     _braking: float
@@ -127,24 +128,24 @@ class CodedPolicy(FeedbackPolicy):
     def _within_acceleration(self, wish: float, least: list[float], most: list[float]) -> float:
         """The pace nearest to a wish at which the joints' velocities along the motion are within bounds."""
         low, high = 0.0, math.inf
-        # For a few joints quicker than arrays.
+        # For a few joints, a loop is quicker than arrays.
         for v, below, above in zip(self._velocity.tolist(), least, most, strict=True):
             if abs(v) > 1e-9:
                 slowest, fastest = (below / v, above / v) if v > 0.0 else (above / v, below / v)
                 low, high = max(low, slowest), min(high, fastest)
-        # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
+        # If no pace keeps all limits, since the arm is pulled, take one between those that keep some of them.
         return max(min(wish, max(low, high)), min(low, high, self._waiting))
 
     def take(self, base: BaseMotion, clear: Callable[[Floats], str | None]) -> None:
-        """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
+        """Change to a base motion (`transition`); raises `PlanError` if there is no clear transition or no code."""
         self._go_along(lambda now: transition(self.arm, now, base, clear))
 
     def _go_along(self, make: Callable[[Floats], Transition], most: float = math.inf) -> None:
-        """Go along the transition that is made for the present state ``(3, n)``, see `TimedPath`.
+        """Follow the transition that ``make`` returns for the present state ``(3, n)``, see `TimedPath`.
 
         Raises `PlanError` as `take` does.
         """
-        # The state of the joints in the time of a motion that begins now, at this pace.
+        # The present state of the joints in the time of the new motion, which begins at this pace.
         pace = max(self._waiting, self.pace, RESTS)
         ratio = self.pace / pace
         limits = self._taken_over * self.arm.acceleration_limits
@@ -159,7 +160,7 @@ class CodedPolicy(FeedbackPolicy):
 
     @property
     def stopping(self) -> float:
-        """How far the present motion goes on, in its time, until the arm can rest [s]."""
+        """How long the present motion goes on, in its own time, until the arm can rest [s]."""
         return self.pace**2 / (2.0 * self._braking)
 
     def _follow(self, course: TimedPath) -> None:

@@ -61,7 +61,7 @@ class Fabric(JointPolicy):
         """See `Policy`; unchecked."""
         super().begin(q)
         self._collisions.move({})
-        # Pairs that are close by design, or at the target, repel only when closer still: else it would not arrive.
+        # Pairs that are close by design, or at the target, repel only when closer still, or the arm would not arrive.
         self._design, self._goal = self._near(q), np.full_like(q, np.nan)
         self._there: dict[tuple[int, int], float] = {}
         self._v = np.zeros_like(q)

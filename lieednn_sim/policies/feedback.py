@@ -56,7 +56,7 @@ FEEDBACK = Feedback()  # the default of all policies
 
 
 class FeedbackPolicy(Policy):
-    """Base class of policies that wait for an arm that does not keep up, and report by how much.
+    """Base class of policies that wait for an arm that does not keep up, and report how far it is behind.
 
     Attributes:
         range: ``(n,)`` lengths of the joints' ranges [rad, m].
@@ -83,7 +83,7 @@ class FeedbackPolicy(Policy):
         return self._feedback.response(self.behind)
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
-        """The factor s, and the pull of the measured joints, if any: on links' coordinates, flat, and on the joints."""
+        """The factor s, and the pull of the measured joints, if any, in flat coordinates of the links and in joints."""
         waiting, strength = self._response(measured, drawn)
         if measured is None or strength == 0.0:
             return waiting, None
@@ -91,9 +91,9 @@ class FeedbackPolicy(Policy):
         return waiting, (strength * (there - here).ravel(), strength * (measured - drawn))
 
     def _within_limits(self, q: Floats) -> Floats:
-        """Joint coordinates ``(n,)`` at the position limits where they are beyond."""
+        """Joint coordinates ``(n,)``, moved to the position limits where they are beyond."""
         (low, high), balls = self.arm.position_limits.T, self.arm.space.balls
-        # Joints seldom are beyond, and the check of what is given takes longer than this.
+        # Joints are seldom beyond, and the check in `within_angles` of its argument takes longer than this.
         if len(balls) and (self.arm.space.angles(q) > high[balls[:, 0]]).any():
             q = self.arm.within_angles(q)
         return np.minimum(np.maximum(q, low), high)

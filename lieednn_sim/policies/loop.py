@@ -36,9 +36,10 @@ class LoopReport:
         step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
         stopped: why the loop stopped, if not because its duration was over; else empty.
-        faults: how often what went wrong: measurements ``missing``, ``malformed``, not to be ``read``, with a ``jump``,
-            ``stale``; a ``target`` refused; failures of ``write``; and whether the policy, stop or on_late ``raised``.
-        at_rest: whether the last reference sent is at rest; `stopped` says why not.
+        faults: numbers of faults by kind: measurements that were ``missing``, ``malformed``, could not be ``read``, had
+            a ``jump`` or were ``stale``; a ``target`` that was refused; failures of ``write``; and exceptions that the
+            policy, stop or on_late ``raised``.
+        at_rest: whether the last reference sent is at rest; if not, `stopped` says why.
         error: the exception for which the loop stopped, if any; after Ctrl-C a `KeyboardInterrupt`.
     """
 
@@ -78,32 +79,32 @@ def control_loop(
 ) -> LoopReport:
     """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
 
-    The policy is reset where the joints are. A joint whose reference from the policy breaks a limit of velocity or
-    acceleration is sent one that lags behind within the limits. After a period that ends late, the next one begins at
+    The policy is reset at the measured joints. If its reference for a joint breaks a limit of velocity or acceleration,
+    the joint is sent one that lags behind within the limits. After a period that ends late, the next one begins at
     once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
     in it.
 
-    At last the reference brakes to rest, straight ahead, within the limits of acceleration: after the duration, when
-    more faults occur than the options tolerate, when the policy, `stop` or `on_late` raises, and at Ctrl-C in the main
-    thread, unless that has a handler of one's own; a second Ctrl-C ends at once. What goes wrong once the loop runs is
-    not raised but reported. Only if `write` fails the last reference may not be at rest.
+    At the end the reference brakes to rest, straight ahead, within the acceleration limits. This happens after the
+    duration, if more faults occur than the options tolerate, if the policy, `stop` or `on_late` raises, and at Ctrl-C
+    in the main thread, unless it has another handler; a second Ctrl-C ends at once. Errors while the loop runs are
+    reported, not raised. Only if `write` fails may the last reference not be at rest.
 
     Args:
-        read: called once a period; returns the measured joints ``(n,)``, or, not at first, None if there are none.
-        write: called with the reference q and qd ``(n,)`` for the end of the period; with the same ones in the next
-            period if it raises.
-        target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; while
-            this raises, or returns what is malformed or out of reach, the last target stays.
+        read: called once a period; returns measured joints ``(n,)`` or, but for the first time, None if there are none.
+        write: called with the reference q and qd ``(n,)`` for the end of the period; if it raises, it is called with
+            the same ones in the next period.
+        target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; if
+            this raises, or its result is malformed or out of reach, the last target stays.
         duration: [s], rounded up to a whole number of periods.
         on_late: called with the number of the period and its lateness [s], after each reference that was late.
-        stop_outside: whether to stop in the first period at whose beginning the measured joints are too far from the
-            policy's plan for the proof of its clearance. What the arm does then is not proved.
+        stop_outside: whether to stop as soon as measured joints, at the beginning of a period, are too far from the
+            policy's plan for the proof of its clearance. Nothing is proved about the stop itself.
         stop: called once a period; the loop stops when it returns something true, as `threading.Event.is_set` does.
         options: the faults that the loop tolerates.
 
     Raises:
-        InputError: a value is malformed, or the policy cannot start where the joints are; or the loop is to stop
-            outside of a proof, but the policy is no ``tracker`` of a motion, or nothing is proved of this.
+        InputError: a value is malformed, or the policy cannot start where the joints are; or ``stop_outside`` is asked
+            for, but the policy is no ``tracker`` of a motion, or the motion's clearance is not proved.
     """
     total = math.ceil(as_positive("duration", duration) * policy.rate - 1e-9)
     if total > MAX_PERIODS:
@@ -119,7 +120,7 @@ def control_loop(
         if not isinstance(policy, MotionTracker) or policy.motion is None:
             raise InputError(f"stop_outside needs a policy that plays a plan, 'tracker', got {type(policy).__name__}")
         monitor = ClearanceMonitor.of(arm, policy.motion)
-    # After three steps nothing is done for the first time.
+    # After three steps, the loop does nothing for the first time.
     for _ in range(3):
         policy.reset(first)
         policy.step(first, goal)
@@ -153,7 +154,7 @@ def control_loop(
 
 @contextmanager
 def _undisturbed(run: LoopRun) -> Iterator[None]:
-    """Garbage is collected before and after; the first Ctrl-C stops the run, unless it has a handler of one's own."""
+    """Collect garbage only before and after; stop the run at the first Ctrl-C, unless that has another handler."""
     collects, usual = gc.isenabled(), signal.default_int_handler
 
     def halt(*_: object) -> None:

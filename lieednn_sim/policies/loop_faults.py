@@ -23,13 +23,13 @@ MAX_PERIODS = 10**7
 
 @dataclass(frozen=True)
 class LoopOptions(PlannerOptions):
-    """The faults that `control_loop` tolerates before it stops; periods are counted in a row.
+    """The faults that `control_loop` tolerates before it stops, in numbers of consecutive periods.
 
     Attributes:
         missing: periods without a usable measurement, in which the policy goes on without feedback.
         stale: periods in which all measured joints stay equal while the reference moves by 0.5 % of a joint's range.
-        jump: multiple of the limit of velocity, else of 10 rad/s or m/s, at which a joint may be measured to move; a
-            measurement is not usable if one moved further, by more than 1 % of its range.
+        jump: multiple of the velocity limit, or without one of 10 rad/s or m/s, at which a joint may seem to move; a
+            measurement is not usable if one moved further than that by more than 1 % of its range.
         late: periods whose reference is late; by default any number.
         attempts: periods in which the same reference cannot be written.
     """
@@ -42,39 +42,39 @@ class LoopOptions(PlannerOptions):
 
 
 class LimitedReference(JointBounds):
-    """A reference ``q`` with rates ``qd``, ``(n,)``, at rest at first, and then another one if that keeps the limits.
+    """A reference ``q`` with rates ``qd``, ``(n,)``, that begins at rest and follows another one within the limits.
 
     A joint whose other reference breaks a limit of velocity or acceleration lags behind it.
     """
 
     def __init__(self, arm: Arm, q: Floats, period: float) -> None:
         self.timestep, self.q, self.qd = period, q, np.zeros_like(q)
-        # With something for rounding. A limit of 1e6 is none.
+        # The factors allow for rounding. A limit of 1e6 is none.
         self.velocity_limits = 1.001 * arm.velocity_limits
         self.acceleration_limits = np.minimum(1.001 * arm.acceleration_limits, 1e6)
         self.position_limits, self._mean = arm.position_limits, self.qd
 
     def towards(self, q: ArrayLike, qd: ArrayLike) -> None:
-        """Go on for a period, at whose end the other reference is at ``q`` with ``qd``, both ``(n,)``."""
+        """Advance by a period, at the end of which the other reference is at ``q`` with ``qd``, both ``(n,)``."""
         h, change = self.timestep, self.timestep * self.acceleration_limits
         there, rate = as_floats("q", q, self.q.shape), as_floats("qd", qd, self.q.shape)
         lower, upper, _ = self._bounds(self.q, self.qd)
         mean = (there - self.q) / h
-        # A robot may go by the rates or by the differences of positions.
+        # A robot may use the rates or the differences of positions, so both must keep the limits.
         equal = (lower <= rate) & (rate <= upper)
         equal &= (np.abs(mean - self._mean) <= change) & (np.abs(rate - mean) <= 0.5 * change)
-        # A lag vanishes at 8/s, or as fast as half of the acceleration can end.
+        # A lag is reduced at 8/s, but no faster than half of the acceleration can stop in time.
         lag = there - self.q - 0.5 * h * (self.qd + rate)
         extra = np.minimum(8.0 * np.abs(lag), np.sqrt(self.acceleration_limits * np.abs(lag)))
         rate = np.where(equal, rate, np.clip(rate + np.sign(lag) * extra, lower, upper))
-        # At a limit of position rounding would leave rates for ever.
+        # At a position limit, rounding would leave tiny rates for ever.
         rate = np.where(np.abs(rate) < 1e-9, 0.0, rate)
         self._mean = np.where(equal, mean, 0.5 * (self.qd + rate))
         self.q, self.qd = read_only(np.where(equal, there, self.q + h * self._mean)), read_only(rate)
 
 
 class LoopRun:
-    """A loop while it runs: its measurements, its target, its reference, and what its `LoopReport` says."""
+    """The state of a running loop: its measurements, target and reference, and what its `LoopReport` will say."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class LoopRun:
         self._policy, self._goal, self._options, self._stop, self._monitor = policy, goal, options, stop, monitor
         self._sent = LimitedReference(policy.arm, policy.q, policy.period)
         self._brake: MotionTracker | None = None
-        # What was measured last, and when; the reference since when that stays equal.
+        # The last measurement and its time, and the reference when measurements last changed.
         self._seen, self._time, self._since = policy.q, 0.0, policy.q
         self._steps = self._unusable = self._equal = self._unwritten = 0
 
@@ -105,7 +105,7 @@ class LoopRun:
             self.stopped, self.error = why, error
 
     def guard(self, function: Callable[..., object], *arguments: object) -> object:
-        """The result of a function; None if it raises an exception, at which the loop stops."""
+        """The result of a function; if it raises an exception, the loop stops, and the result is None."""
         try:
             return function(*arguments)
         except Exception as error:
@@ -124,7 +124,7 @@ class LoopRun:
                 measured = arm.nearest_turn(as_floats("what read returns", given, (arm.n_joints,)), self._seen)
         except Exception as failure:
             kind, why = "malformed" if isinstance(failure, InputError) else "read", repr(failure)
-            # Its traceback would hold this frame, which holds it, and no garbage is collected in a loop.
+            # Its traceback would form a cycle with this frame, and no garbage is collected in the loop.
             error = failure.with_traceback(None)
         if measured is not None:
             beyond = np.maximum(np.abs(measured - self._seen) - 0.01 * arm.ranges, 0.0)
@@ -148,7 +148,7 @@ class LoopRun:
         return measured
 
     def aim(self, target: Callable[[float], ArrayLike], time: float) -> None:
-        """Take the target of a time [s], if it is one that can be reached."""
+        """Take the target at a time [s] if it can be reached."""
         try:
             self._goal = self._policy.arm.check_position(target(time), "target").copy()
         except Exception:
@@ -156,7 +156,7 @@ class LoopRun:
 
     def step(self, measured: Floats | None, leads: bool) -> None:
         """Find the next reference: the policy's if it still leads and there is no reason to stop, else the brake's."""
-        # One that could not be written is still the next: none is left out.
+        # A reference that could not be written is still the next one: none is left out.
         if self._unwritten or (leads and self.guard(self._lead, measured)):
             return
         sent, policy = self._sent, self._policy

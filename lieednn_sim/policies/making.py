@@ -20,7 +20,7 @@ from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
-#: Policies of the package that cannot do without a planned motion, and those that follow one where they are given it.
+#: Policies of the package that need a planned motion, and those that follow one if it is given.
 PLANNED = "dmp", "tracker"
 FOLLOWERS = "lieednn-chunks", "lieednn-replanning", *PLANNED
 
@@ -92,10 +92,10 @@ def make_policy(
     Args:
         name: a name of `POLICIES`, or ``file.py:function`` of one's own.
         arm: the arm, in its scene.
-        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
-            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp``,
-            ``lieednn-replanning`` and ``lieednn-chunks`` begin with. By default these plan one; others refuse it.
-        rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another
+            target. Or a plan or a motion that ends there: ``tracker`` tracks it, and ``dmp``, ``lieednn-replanning``
+            and ``lieednn-chunks`` begin with it. Without one these plan their own; other policies refuse it.
+        rate: control rate [Hz]; by default 100, or the nearest rate that divides that of the model's steps.
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         feedback: settings of the feedback from the measured joints; None for no feedback.
         convergence_rate: rate at which a policy without a motion approaches the target [1/s].
@@ -103,7 +103,7 @@ def make_policy(
         seed: seed of random draws; the same seed gives the same policy.
 
     Raises:
-        InputError: a value is malformed, the policy is unknown, or the options are those of another one.
+        InputError: a value is malformed, the policy is unknown, or the options belong to another one.
         NotCertifiedError: no network could be certified.
         PlanError: no motion was found.
     """

@@ -102,11 +102,11 @@ class NetworkPolicy(FeedbackPolicy):
         super().begin(q)
         self.xi = self.network.start(self.arm.encode(q))
         self._retraction = LocalRetraction(self.arm, q)
-        # The last target with its goal, and whether the field is that of this goal, not of one ahead of it.
+        # The last target and its goal, and whether the field belongs to this goal, not to one ahead of it.
         self._aimed: tuple[Floats, Floats] | None = None
         self._still = np.zeros(self.xi.size), np.zeros(self.arm.n_joints)
         self._settled = False
-        # Where the network is, what drives it there, its field, and the first and the last in joint coordinates.
+        # The network's state, its drive and its field; then the state and the field in joint coordinates.
         self._x = self.xi.ravel()
         self._drive, self._flow = self._stepping.drive(self._x), np.zeros(self.xi.size)
         self._drawn, self._flow_rate = q, self.qd
@@ -123,9 +123,9 @@ class NetworkPolicy(FeedbackPolicy):
         """Write the policy as C99 for a robot's controller, without allocation: ``policy.h``, ``policy.c`` and numbers.
 
         One call a period takes measured joints and a target, and gives the reference that `step` gives, up to rounding.
-        Beyond that it tells faults of measurements and targets by a status, and brakes where they last; ``policy.h``
-        has the rules. The network's files, see `LieEDNN.to_c`, lie beside them. It begins where it is told to, as after
-        `reset`; it does not go on from the present state.
+        It also reports faults of measurements and targets by a status, and brakes if they last; ``policy.h`` has the
+        rules. The network's files, see `LieEDNN.to_c`, are written beside them. The C policy begins where it is told
+        to, as after `reset`; it does not go on from the present state.
 
         Args:
             folder: where to write them; it is made if it is missing, and returned. Files of these names there are
@@ -175,7 +175,7 @@ class NetworkPolicy(FeedbackPolicy):
         return inside, np.where(inside == drawn, qd, 0.0)
 
     def _aim(self, target: Floats) -> tuple[Floats, Floats]:
-        """Set the goal of all neurons, in the middle of the period; its velocity, flat, and the joints' with it."""
+        """Set the goal of all neurons in the middle of the period; returns its velocity, flat, and the joints'."""
         before, jumped = self._aimed, False
         moving = self._still
         if before is not None and self._settled and target is before[0]:
@@ -222,10 +222,10 @@ def _max_abs(values: Floats) -> float:
 
 
 def _certified_norm(network: LieEDNN) -> float:
-    """||S W_R S^-1||_2 with the certificate's P = S^2: of W in the norm in which translations count for nothing."""
+    """||S W_R S^-1||_2 with the certificate's P = S^2: the norm of W if translations have no weight."""
     scale = np.sqrt(np.asarray(network.lyapunov_diagonal))
     weight = scale[:, None] * network.certifiable_weight / scale
-    # Rows and columns of zeros, most of a cascade's, take most of the time and change nothing.
+    # Rows and columns of zeros, which are most of a cascade's, would take most of the time and change nothing.
     acting = weight[weight.any(axis=1)][:, weight.any(axis=0)]
     return float(np.linalg.norm(acting, 2)) if acting.size else 0.0
 
@@ -247,11 +247,11 @@ def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
     network, motion = result.network, result.motion
     assert isinstance(network, LieEDNN)
     if options.rate == 1.0 and network.n_hidden:
-        # A tenth of the universal network's neurons: its steps take less time, and so does the bound on a push.
+        # It has a tenth of the universal network's neurons: its steps take less time, and so does the bound on a push.
         shaping = ShapingOptions(options.rate, options.neurons, options.activation)
         units = lever_units(task.arm, motion.q)
         network = shape(motion.xi[::2], 0.2 * options.deviation, units=units, options=shaping).network
-    # Its clock is the slowest.
+    # The clock is the network's slowest part.
     return _policy(task, network, task.convergence_rate / options.rate)
 
 

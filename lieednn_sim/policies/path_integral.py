@@ -56,8 +56,8 @@ class PathIntegralOptions(PlannerOptions):
 class VelocityRollouts:
     """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout` in steps [s].
 
-    This is the arm as policies see it: under inverse dynamics its actuators follow a reference up to rounding. What is
-    nearer than ``near`` [m] is detected in the surroundings; parts of the arm are when they overlap.
+    This is the arm as policies see it: under inverse dynamics its actuators follow a reference up to rounding.
+    Surroundings are detected if they are nearer than ``near`` [m], parts of the arm only if they overlap.
     """
 
     def __init__(self, arm: Arm, step: float, near: float) -> None:
@@ -110,7 +110,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     for off in ("GRAVITY", "EQUALITY", "LIMIT", "FRICTIONLOSS", "SPRING"):
         model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{off}"))
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # With the gain, so far above the arm's own inertia that joints take their commanded velocities at once.
+    # With this inertia, far above the arm's own, and the gain, joints take their commanded velocities at once.
     model.opt.timestep, model.dof_armature[:] = step, 1e4
     return model
 
@@ -149,7 +149,7 @@ class PathIntegral(JointPolicy):
         self._convergence_rate, self._seed = as_positive("convergence_rate", convergence_rate), as_seed("seed", seed)
         self._rollouts = VelocityRollouts(arm, options.step, options.near)
         self._knots: Floats = options.step * np.linspace(0.0, options.steps - 1.0, _KNOTS)
-        # From knots to steps, linear between.
+        # Linear interpolation from knots to steps.
         self._between = self._at(options.step * np.arange(float(options.steps)))
         self._fastest = arm.velocity_limits / self.range
 
@@ -185,7 +185,7 @@ class PathIntegral(JointPolicy):
         self._plan = self._at(self._knots + time) @ self._plan
 
     def _costs(self, target: Floats, velocities: Floats) -> Floats:
-        """``(S,)`` of velocities ``(S, H, n)`` in units of the ranges."""
+        """Costs ``(S,)`` of velocities ``(S, H, n)`` in units of the ranges."""
         options, c = self._options, self._convergence_rate
         configurations, clearance = self._rollouts(self.y, velocities * self.range)
         off = (((target - configurations) / self.range) ** 2).sum(axis=2)

@@ -46,13 +46,13 @@ class MotionTracker(Policy):
         if joints != (arm.n_joints,):
             raise InputError(f"the motion has {joints} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         times = np.minimum(self.period * np.arange(np.ceil(end / self.period) + 1.0), end)
-        # At the beginning of each period.
+        # Joints and rates at the beginning of each period.
         self.end = spline(end)
         self._rows = spline(times), np.where((times < end)[:, None], spline(times, 1), 0.0)
 
     @classmethod
     def stopping(cls, arm: Arm, q: Floats, qd: Floats, rate: float) -> MotionTracker:
-        """A policy that brakes a reference with rates ``(n,)`` at the limits of acceleration, straight, and stays."""
+        """A policy that brakes a reference with rates ``(n,)`` straight to rest, at the acceleration limits."""
         q, qd = (as_floats(name, given, (arm.n_joints,)) for name, given in (("q", q), ("qd", qd)))
         needed = max(float((np.abs(qd) / arm.acceleration_limits).max()), 2.0 / rate)
         if not needed * rate < 1e6:
@@ -60,7 +60,7 @@ class MotionTracker(Policy):
         low, high = arm.position_limits.T
         end = np.clip(arm.within_angles(q + 0.5 * needed * qd), low, high)
         policy = cls(arm, CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)]), rate)
-        # Also where a reset would refuse to start.
+        # Set directly, since `reset` may refuse to start there.
         policy.q, policy.qd, policy._row = q, qd, 0
         return policy
 

@@ -3,12 +3,12 @@
 To a new target it goes straight if that is clear. Where something is in the way, on the path ahead or on the way to a
 new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
 where it can rest. If there is none, the arm waits there, and the search is made again. Obstacles are where they were
-last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there, as
-every planned motion; that straight motions and transitions onto paths are, which a period has no time to prove, is only
+last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there,
+like every planned motion. A period has no time to prove straight motions and transitions onto paths; these are only
 checked, at samples.
 
-Where the arm rests, or can, an obstacle may come too near, if it goes on as it does. Then the arm gets out of its way
-(`evasion`), by another motion of the same network, and comes back when the way to the target stays free.
+If an obstacle, going on as it does, will come too near to where the arm rests or can rest, the arm gets out of its way
+(`evasion`) by another motion of the same network. It comes back when the way to the target stays free.
 """
 
 from __future__ import annotations
@@ -113,10 +113,10 @@ class ReplanningPolicy(CodedPolicy):
         # A search, when it is due, and whether it is for a way out of an obstacle's way.
         self._search: tuple[Future[BaseMotion], int, bool] | None = None
         self._path: BaseMotion | None = None
-        # The obstacle that is evaded; `_caught` says that it cannot be.
+        # The obstacle that is evaded; `_caught` says that evading it failed.
         self._evaded = ""
         lead = (self._options.search_periods + self._options.look_every) * self.period
-        # In which the arm can have moved each joint by half its range; after 3 s nobody knows how obstacles go on.
+        # Time to move each joint by half its range; no obstacle can be foreseen for more than 3 s.
         half = float(straight(self.arm, q, q + 0.5 * self.range, SOONEST).x[-1])
         self._horizon = min(lead + half, 3.0)
         self._clear_way()
@@ -161,7 +161,7 @@ class ReplanningPolicy(CodedPolicy):
         self.rest_at = min(self._blocked_at, self._ends_at)
 
     def _clear_way(self) -> None:
-        # Times of the present motion before which the arm must rest, since something blocks it, or another is to come.
+        # Times of the present motion before which the arm must rest: where it is blocked, and to turn to another one.
         self._blocked_at = self._ends_at = math.inf
         self._blocker, self._reason, self._caught = "", "", False
 
@@ -173,7 +173,7 @@ class ReplanningPolicy(CodedPolicy):
             self._blocker = result[1] if result else self._blocker
             return repr(result[1]) if result else None
 
-        # Where limits alone refuse all transitions, nothing is in the way.
+        # Stays empty if limits alone, and no obstacle, refuse all transitions.
         self._blocker = ""
         self.take(base, clear)
         self._clear_way()
@@ -195,7 +195,7 @@ class ReplanningPolicy(CodedPolicy):
                 self._seek(goal)
 
     def _seek(self, goal: Floats) -> None:
-        """Search for a path from where the arm can rest on its present one, without need before it is found."""
+        """Search for a path from where the arm can rest on its present one, if possible not before it is found."""
         if at_goal := self._surroundings.blocked(goal[None]):
             self._blocker, self._reason = at_goal[1], _NOT_FREE
             return
@@ -236,7 +236,7 @@ class ReplanningPolicy(CodedPolicy):
                 return
         elif path is None or self._periods % self._options.look_every:
             return
-        # An obstacle may have moved into it meanwhile.
+        # An obstacle may have moved into the path meanwhile.
         passable = self._surroundings.blocked(self._sampled(path, 0.0, float(path.x[-1]))[1], only_moving=True) is None
         try:
             if passable:
@@ -251,8 +251,8 @@ class ReplanningPolicy(CodedPolicy):
 
     def _sampled(self, motion: Callable[[Floats], Floats], begin: float, end: float) -> tuple[Floats, Floats]:
         """Times ``(K,)`` between two ones, and the configurations ``(K, n)`` of a motion there."""
-        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves. Every
-        # 0.04 s, or a multiple of that where there would be more than 150.
+        # The instants are the same in each look, or the first blocked one would change though nothing moves: every 0.04
+        # s, or a multiple of that if there would be more than 150.
         step = 0.04 * max(1, math.ceil((end - begin) / (0.04 * 150)))
         times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
@@ -266,7 +266,7 @@ class ReplanningPolicy(CodedPolicy):
             times, q = self._sampled(self._at, self.time, end)
             result = around.blocked(q, only_moving=True) or around.nearing(q, np.full(len(q), 0.3))
             stops = [] if result is None else [(float(times[max(result[0] - 1, 0)]), result[1])]
-            # It may also be met on the way, or come to where that ends.
+            # An obstacle may also meet the arm on the way, or come to where the way ends.
             last = min(self._ends_at, end)
             if met := self._foresee(lambda after: self._at(np.minimum(self.time + after, last))):
                 stops.append((min(self.time + met[0], end), met[1]))
@@ -287,18 +287,18 @@ class ReplanningPolicy(CodedPolicy):
             self._turn(goal)
 
     def _foresee(self, q: Callable[[Floats], Floats]) -> tuple[float, str] | None:
-        """How long [s] an arm at ``q`` of the times from now on is clear of moving obstacles, and of which then not."""
+        """How long [s] an arm at ``q(times from now on)`` stays clear of moving obstacles, and which it meets then."""
         fastest = max((float(np.linalg.norm(v)) for v in self._surroundings.velocities.values()), default=0.0)
         if fastest == 0.0:
             return None
-        # Obstacles move by the margin from one to the next.
+        # Obstacles move by at most the margin between two instants.
         count = min(math.ceil(self._horizon * fastest / self._options.margin), 40)
         after = np.linspace(0.0, self._horizon, count + 1)
         result = self._surroundings.nearing(q(after), after)
         return result and (float(after[max(result[0] - 1, 0)]), result[1])
 
     def _stop_before(self, latest: float, blocker: str) -> None:
-        """Rest before a time of the present motion, as late as the arm then stays clear of obstacles as they move."""
+        """Rest before a time of the present motion, as late as the arm can rest there clear of moving obstacles."""
         self._blocker = blocker
         for share in (1.0, 0.5, 0.0):
             soon = self.time + max(share * (latest - self.time), self.stopping)
@@ -312,7 +312,7 @@ class ReplanningPolicy(CodedPolicy):
         return self._foresee(lambda after: there.repeat(len(after), axis=0))
 
     def _evade(self, goal: Floats, end: float) -> bool:
-        """Whether the arm must leave where it rests, or where it can; if so, search for where to go."""
+        """Whether the arm must leave the place where it rests or can rest; if so, search for another place."""
         stops, threat = min(self._blocked_at, self._ends_at), ""
         if math.isfinite(stops) or self.time >= end:
             near = self._foresee_at(max(self.time, min(stops, end)))

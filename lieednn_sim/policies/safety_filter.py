@@ -71,7 +71,7 @@ class SafetyFilter(JointBounds):
         self.angles = AngleBarrier(arm)
 
     def allow(self, q: ArrayLike) -> None:
-        """Reduce margins where ``q`` ``(n,)`` is closer, and tighten limits, but not beyond it.
+        """Reduce margins of pairs that are closer at ``q`` ``(n,)``, and tighten limits, but not beyond ``q``.
 
         Joints that reverse within a step then keep the arm's limits. `InputError` if something touches there.
         """
@@ -85,7 +85,7 @@ class SafetyFilter(JointBounds):
         self.position_limits = np.stack([lower, upper], axis=1)
 
     def see(self, places: Mapping[str, ArrayLike]) -> None:
-        """Be told where moving obstacles are now, as in `Collisions.move`; their velocity is not taken into account."""
+        """Set where moving obstacles are now, as in `Collisions.move`; their velocity is not taken into account."""
         self.clearance.collisions.move(places)
 
     def step(self, q: ArrayLike, velocity: ArrayLike, wanted: ArrayLike) -> FilterStep:
@@ -104,7 +104,7 @@ class SafetyFilter(JointBounds):
         hard = np.zeros(n + len(rows), dtype=np.int32)
         solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, hard)
         if flag < 1:
-            # Come to rest, violating barriers, soft constraints now, as little as the bounds allow.
+            # Come to rest, violating the barriers, which are soft constraints now, as little as the bounds allow.
             soft = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
             solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, soft, rho_soft=1e-4)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)

@@ -1,4 +1,4 @@
-"""Searches aside of the control loop, in a process of their own: a thread would hold the interpreter's lock."""
+"""Searches beside the control loop, in a process of their own, since a thread would hold the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.registry import optional_module
 
 _T = TypeVar("_T")
-# In the process that searches: the arm of the searches to come.
+# In the searching process, the arm of the next searches.
 _ARM: Arm | None = None
 
 
 def aside(arm: Arm, search: Callable[..., _T], *arguments: Any) -> Future[_T]:
-    """Call a function of the package, with the arm and more, beside the control loop; calls take turns.
+    """Call a function of the package, with the arm and other arguments, beside the control loop; calls take turns.
 
-    The process starts with the first call of all. It has the arm, without its spec, from the first call for it in a
-    row. Where no process can be started, or it was ended, a thread takes its place, and a warning says so.
+    The process starts with the first call. An arm, without its spec, is sent with the first of several calls for it in
+    a row. If no process can be started, or it was ended, a thread takes its place, and a warning says so.
     """
     return _searcher(os.getpid()).submit(arm, search, *arguments)
 
@@ -44,7 +44,7 @@ def found(search: Future[_T]) -> _T:
 
 
 def get_ready(arm: Arm) -> None:
-    """Ahead of the first search: the process starts, and imports what searches take."""
+    """Start the process ahead of the first search, and import what searches need."""
     aside(arm, _import)
 
 
@@ -63,7 +63,7 @@ class _Searcher:
         with self._lock:
             try:
                 return self._submitted(arm, *call)
-            # Of multiprocessing: a daemonic process may have no children.
+            # Errors of multiprocessing, such as that a daemonic process may have no children.
             except (AssertionError, OSError, RuntimeError) as error:
                 said = f"searches run in a thread, which may delay periods, since there is no process for them: {error}"
                 warnings.warn(said, RuntimeWarning, stacklevel=4)
@@ -72,7 +72,7 @@ class _Searcher:
 
     def _submitted(self, arm: Arm, *call: Any) -> Future[Any]:
         if self._last is None or self._last() is not arm:
-            # MuJoCo cannot pickle a spec. Pickled here, so that what cannot be raises here.
+            # MuJoCo cannot pickle a spec. The arm is pickled here, so that a failure raises here.
             self._pool.submit(_take, pickle.dumps(replace(arm.without_visuals, spec=None)))
             self._last = weakref.ref(arm)
         return self._pool.submit(_call, *call)

@@ -1,4 +1,4 @@
-"""What a policy knows of moving obstacles: where they are, whether they are in the way, and ways around and out."""
+"""What a policy knows of moving obstacles: where they are, whether they are in the way, and ways around them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lieednn_sim.planning.transition import BaseMotion, along, straight
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-_LOOKS = 3  # over which velocities are means
+_LOOKS = 3  # periods over which velocities are averaged
 
 
 class Surroundings:
@@ -31,8 +31,8 @@ class Surroundings:
 
     Attributes:
         places: positions ``(3,)`` of the moving obstacles' bodies [m], by name; empty before any was seen.
-        velocities: those of the obstacles that move ``(3,)`` [m/s], at the last `look`; may be set.
-        touching: name of the one that touched the arm when it was to `leave`, if any.
+        velocities: velocities ``(3,)`` [m/s] of the obstacles that move, by name, at the last `look`; may be set.
+        touching: name of the obstacle that touched the arm at the last call of `leave`; empty if none did.
     """
 
     def __init__(self, arm: Arm, margin: float) -> None:
@@ -40,14 +40,14 @@ class Surroundings:
         bare = arm.without_visuals
         self._model = bare.geometry
         self._all = bare.contact_finder(arm.clearance)
-        # Sees nothing but pairs of the arm and a moving obstacle.
+        # Finds only pairs of the arm and a moving obstacle.
         self._near: ContactFinder | None = None
         self.places: dict[str, Floats] = {}
         self.velocities: dict[str, Floats] = {}
         self._seen = deque[dict[str, Floats]](maxlen=_LOOKS + 1)
 
     def see(self, places: Mapping[str, Floats]) -> None:
-        """Take note of the places; raises `InputError` for names of no obstacles."""
+        """Take note of the places; raises `InputError` for a name that is no obstacle's."""
         seen = {name: as_floats(f"the place of {quoted(name)}", place, (3,)) for name, place in places.items()}
         if not seen.keys() <= self.places.keys():
             self._near = ContactFinder(self._pairs_of({*self.places, *seen}), self._margin)
@@ -75,7 +75,7 @@ class Surroundings:
         return None
 
     def nearing(self, q: Floats, after: Floats) -> tuple[int, str] | None:
-        """As `blocked` by moving obstacles alone, were they to go on at their `velocities`.
+        """As `blocked`, by moving obstacles only, predicted with their `velocities`.
 
         The arm is at the configurations ``(K, n)`` after the times ``(K,)`` [s].
         """
@@ -93,7 +93,7 @@ class Surroundings:
             self._near.put(bodies, now)
 
     def nearest(self, q: Floats) -> tuple[str, str, float]:
-        """Names of the two bodies nearest to each other at ``q`` ``(n,)``, something in the way, and their distance."""
+        """Names of the two nearest bodies at ``q`` ``(n,)``, where something is in the way, and their distance [m]."""
         found = self._in_the_way(self._arm.qpos(q), only_moving=False)
         assert found is not None
         distance, pairs = found
@@ -120,8 +120,8 @@ class Surroundings:
     def leave(self, q: Floats) -> None:
         """Let the arm, at ``q`` ``(n,)``, get away from a moving obstacle that is nearer than the margin already.
 
-        Until this is called again, something is in the way only below four fifths of that distance, or where they
-        touch if it is a fifth deeper.
+        Until the next call, a moving obstacle is in the way only below four fifths of that distance or, if it touches
+        the arm, where it is a fifth deeper.
         """
         if self._near is not None:
             distance, pairs = self._near_pairs(*self._near.geoms(self._arm.qpos(q)), self._margin)
@@ -131,7 +131,7 @@ class Surroundings:
 
     @property
     def near(self) -> bool:
-        """Whether the arm is to leave a moving obstacle that is nearer than the margin."""
+        """Whether a moving obstacle is nearer than the margin, so that the arm must leave it."""
         return self._kept < self._margin
 
     def _obstacle_of(self, pair: NDArray[np.int_]) -> str:
@@ -147,7 +147,7 @@ class Surroundings:
         return distance[near], pairs[near]
 
     def _pairs_of(self, names: set[str]) -> mujoco.MjModel:
-        """The arm's model, in which its moving parts collide with the bodies of these names, and nothing else does."""
+        """The arm's model, in which only its moving parts and the bodies of these names collide."""
         model = copy.deepcopy(self._model)
         colliding, parts = colliding_geoms(model), moving_geoms(model)
         bodies = {fixed_body(model, name) for name in names}
@@ -167,15 +167,15 @@ def path_around(
 ) -> BaseMotion:
     """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
-    It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
+    It keeps the margin [m] from moving obstacles at ``places`` if its ``ends``, start and target ``(n,)``, allow it.
     `LieEDNNError` if there is no path, or OMPL is not installed.
     """
     refused = ""
-    # With less of the margin where start or target are nearer than that.
+    # Less of the margin is kept if start or target are nearer than that.
     for share in (1.0, 0.5, 0.0):
         there = arm.with_moved_bodies(places, share * margin)
         try:
-            # Nearly every motion needs more than this, and gets it.
+            # Nearly every motion needs a longer duration than this, and gets it.
             problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
         except InputError as error:
             refused = str(error)
@@ -194,26 +194,27 @@ def evasion(
     horizon: float,
     seed: int,
 ) -> BaseMotion:
-    """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they are there.
+    """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they arrive.
 
-    Tried are configurations around the start. The one that a straight motion reaches first is taken which stays clear
-    of obstacles, as they move and as they are now; `PlanError` if there is none.
+    Configurations around the start are tried in the order in which straight motions reach them. The first one is taken
+    at which, and on the way to which, the arm stays clear of obstacles, where they are now and as they move;
+    `PlanError` if there is none.
 
     Args:
-        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as in `Surroundings`.
-        margin: distance to be kept from them where that is possible, else half of it [m].
+        places, velocities: those of the obstacles ``(3,)`` [m, m/s], by name, as in `Surroundings`.
+        margin: distance to keep from them if possible, otherwise half of it [m].
         lead, horizon: times until the arm sets off, and for which obstacles are foreseen [s].
     """
     tried = _around(arm, start, np.random.default_rng(seed))
-    # None takes less than a quarter of a second.
+    # No motion takes less than a quarter of a second.
     motions = sorted((straight(arm, start, q, 0.25) for q in tried), key=lambda motion: motion.x[-1])
-    step = 0.08  # from one of the configurations that are looked at to the next [s]
+    step = 0.08  # time between configurations that are checked [s]
     for share in (1.0, 0.5):
         resting, leaving = Surroundings(arm, share * margin), Surroundings(arm, share * margin)
         for around in (resting, leaving):
             around.see(places)
             around.velocities = velocities
-        # From where it is too near already, it may leave.
+        # An arm that is too near already may move away.
         leaving.leave(start)
         for motion in motions:
             lasts = float(motion.x[-1])

@@ -120,7 +120,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         self._camera = scene_setup.camera(arm, camera, held, run, size[0] / size[1])
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
-        # As fine as the picture needs: 4096, as in the scenes, take a software renderer a third longer.
+        # Shadows as fine as the picture needs: with 4096, as in the scenes, a software renderer takes a third longer.
         self._model.vis.quality.shadowsize = max(1024, int(0.8 * size[0]))
         self._data = mujoco.MjData(self._model)
         self.mark(target)
@@ -151,7 +151,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         return np.asarray(self._renderer.render())
 
     def seen(self, points: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
-        """Pixels ``(P, 2)`` of points ``(P, 3)`` in the last picture, and which of them nothing is before.
+        """Pixels ``(P, 2)`` of points ``(P, 3)`` in the last picture, and which points are not hidden.
 
         Pixels are counted from the upper left corner; those of points behind the camera are not numbers.
         """
@@ -265,7 +265,7 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
 
 
 def _with_key(frame: Picture.Image) -> Picture.Image:
-    """A frame in 256 colours, among which are those of the legend: they are too rare to be found."""
+    """A frame in 256 colours, the legend's among them, which are too rare in the frame to be chosen otherwise."""
     palette = frame.quantize(256 - len(KEY))
     others = (palette.getpalette() or [])[: 3 * (256 - len(KEY))]
     palette.putpalette([*others, *itertools.chain(*(colour for colour, _ in KEY))])

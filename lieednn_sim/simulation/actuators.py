@@ -22,28 +22,28 @@ from lieednn_sim.values import Floats
 
 
 class Actuators:
-    """The actuators that move an arm in a model, and the controls for wanted states and forces.
+    """The actuators that move an arm in a model, and their controls for desired states and forces.
 
     With ``complete`` they must be able to move all of the arm's joints.
 
     Attributes:
-        driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of a view's state, of
-            the keyframe ``home``, or zero.
+        driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls: those of a view's
+            state, of the keyframe ``home``, or zero.
         servos: ``(nu,)`` which of the driving ones are position servos; the others exert forces alone.
         servoed: ``(n,)`` which coordinates position servos act on.
-        transmission: ``(nu, n)`` lengths' rates at unit rates of the coordinates; zero for those that do not drive.
-        moment: ``(nu, nv)`` generalised force per unit force; zero likewise.
+        transmission: ``(nu, n)`` rates of lengths at unit rates of the coordinates; zero for those not driving.
+        moment: ``(nu, nv)`` generalised force per unit force; zero for those not driving.
         allocation: ``(nu, nv)`` forces of least norm with the effect of generalised forces on the arm.
         gain: ``(nu,)`` g of those that drive.
         bias: ``(3, nu)`` their b0, b1 and b2.
 
     Raises:
-        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons; or they
-            cannot move the arm.
+        InputError: an actuator that moves the arm is not affine, has memory, or is not on joints or fixed tendons; or
+            the actuators cannot move the arm.
     """
 
     def __init__(self, arm: Arm, *, complete: bool = True) -> None:
-        # Closed loops are looked at where the arm is at home.
+        # Closed loops are evaluated with the arm at home.
         model, basis = arm.model, arm.unit_rates()
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
@@ -71,7 +71,7 @@ class Actuators:
         self.servos = self.driving & (self.bias[1] / self.gain < 0.0)
         self.servoed = np.abs(transmission[self.servos]).max(axis=0, initial=0.0) > 1e-9
         self._idle = np.where(self.driving, 0.0, arm.data().ctrl)
-        # In a model with more than an arm, somebody else may change the others' controls.
+        # In a model with more than an arm, the user may change the controls of the other actuators.
         self._written: Any = True if arm.state is None else self.driving
         # The positions at which all lengths are zero: those of quaternions are their references.
         self._model, self._zero, self._made = model, model.qpos0.copy(), arm.qpos_home is None
@@ -130,15 +130,15 @@ class Actuators:
     def free_controls(self, model: mujoco.MjModel) -> None:
         """Remove the control ranges of the servos in the model of an arm that is made for the package.
 
-        They are ranges of positions, and feedforward shifts the control by tau / kp, out of that range near a joint
-        limit. In a model of somebody else they are kept, as by the servos themselves.
+        They are ranges of positions, and feedforward shifts the control by tau / kp, out of this range near a joint
+        limit. In a user's model they are kept.
         """
         model.actuator_ctrllimited[self.servos & self._made] = 0
 
     def make_direct(self, model: mujoco.MjModel) -> None:
         """Make the driving actuators of a model direct-drive ones, which exert their controls; force limits stay.
 
-        So do those that motors have by their control ranges.
+        So do the force limits that motors have by their control ranges.
         """
         ranges = actuator_ranges(model)
         limited = self.driving & np.isfinite(ranges).all(axis=1)
@@ -159,7 +159,7 @@ def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
 
 
 def has_servos(arm: Arm) -> bool:
-    """Whether position servos alone drive each coordinate, and no closed loop is between them."""
+    """Whether each coordinate is driven by position servos alone, without a closed loop in between."""
     model, basis = arm.model, arm.unit_rates()
     moments = actuator_moments(model)
     driving = _moving(moments, basis)

@@ -16,7 +16,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
-# What is said of a value of `Disturbances` that is not the default: of the arm itself, and of its sensors.
+# Descriptions of values of `Disturbances` that are not the defaults: of the arm itself, and of its sensors.
 _OF_ARM = {"mass_scale": "masses times {:g}", "payload": "payload {:g} kg"}
 _OF_SENSORS = {"position_noise": "position noise {:g}", "velocity_noise": "velocity noise {:g}"}
 
@@ -132,7 +132,7 @@ class Disturbances:
 
     @property
     def unknown_loads(self) -> list[str]:
-        """What loads the arm without the controller's knowledge, in words: it can hold a joint off its target."""
+        """What loads the arm without the controller's knowledge, in words; loads can hold a joint off its target."""
         return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
 
     @classmethod
@@ -147,7 +147,7 @@ class Disturbances:
 
 
 def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
-    """Those given, or none; `InputError` for a push that begins when a run is over [s], as one in milliseconds."""
+    """The given disturbances, or none; `InputError` for a push that begins after the ``end`` of a run [s]."""
     given = Disturbances() if disturbances is None else disturbances
     # No step begins at the end; times are rounded to the nearest step.
     if late := next((push for push in given.pushes if push.start >= end - 0.5 * timestep), None):
@@ -169,7 +169,7 @@ class Pushes:
         self._bodies = list(dict.fromkeys(body for _, body in self._pushes))
         self._timestep, self._shape = float(model.opt.timestep), (model.nbody, 6)
         for push in pushes:
-            # One that is so short would never act.
+            # A push between two steps would never act.
             nearby = np.round(push.start / self._timestep) + np.arange(-1, 2)
             if not self._acts(push, self._timestep * nearby).any():
                 raise InputError(
@@ -186,7 +186,7 @@ class Pushes:
         return applied
 
     def _acts(self, push: Push, now: Floats) -> NDArray[np.bool_]:
-        """In which of the steps that begin at some times a push acts."""
+        """Whether a push acts in the steps that begin at given times."""
         # Compared halfway between steps, so that rounding of the times does not matter.
         half = 0.5 * self._timestep
         return (push.start - half < now) & (now < push.end - half)
@@ -213,7 +213,7 @@ class Sensors:
 
     def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
         self._seed = disturbances.seed
-        # Zero for joints that are no part of the arm.
+        # Deviations are zero for joints that are no part of the arm.
         measured = (tangent_basis(arm.space) != 0.0).any(axis=1)
         self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
         self.noisy = bool(self._deviations.any())

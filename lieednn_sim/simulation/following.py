@@ -1,4 +1,4 @@
-"""The closed loop: a simulated arm behind a policy, which sees the arm and a target that may move."""
+"""The closed loop of a policy and a simulated arm: the policy sees the arm, and a target that may move."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lieednn_sim.simulation.tracking import default_controller, make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-_KEPT_PERIODS = 1000  # of an endless run, for which the reference is kept
+_KEPT_PERIODS = 1000  # number of periods for which an endless run keeps the reference
 
 
 @frozen
@@ -40,7 +40,7 @@ class Following:
         step_time: ``(L,)`` CPU time of each step of the policy [s]; only this differs between two equal runs.
 
     Raises:
-        InputError: the target is not of the rollout's times and joints.
+        InputError: the target does not match the rollout's times and joints.
     """
 
     rollout: Rollout
@@ -54,7 +54,7 @@ class Following:
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """Times at which the policy saw that the target had jumped, faster than the joints' limits [s]."""
+        """Times [s] at which the policy saw that the target had jumped, that is moved faster than the joints can."""
         seen = self.target[:: self.period]
         speed = np.abs(np.diff(seen, axis=0)) / (self.period * self.rollout.timestep)
         jumped = (speed > self.rollout.arm.jump_speeds).any(axis=1)
@@ -76,9 +76,8 @@ def follow(
 ) -> Following:
     """Simulate an arm that follows a policy, which sees the measured joints and the present target.
 
-    In every control period the policy gets both, and it returns the reference for the end of the period. The controller
-    gets a cubic polynomial between these references at every simulation step. The run is a function of its arguments
-    alone.
+    In every control period the policy gets both, and returns the reference for the end of the period. At every
+    simulation step the controller gets a cubic interpolation of these. The run is a function of its arguments alone.
 
     Args:
         policy: runs the arm; its rate must divide the rate of the simulation. It is reset at the start.
@@ -87,7 +86,7 @@ def follow(
             simulation step, the last of which stays.
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
-        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` where servos drive the arm, else
+        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` if servos drive the arm, otherwise
             ``feedback-linearisation``.
         disturbances: disturbances unknown to policy and controller.
         log: further quantities to log, as for `simulate`.
@@ -110,7 +109,7 @@ def follow(
     policy.reset(origin)
     loop.begin(origin)
     sample = _sampler(arm, target, arm.timestep)
-    # The channels of the policy, as those of a controller.
+    # A `ChannelSource` for the channels of the policy.
     told: Any = SimpleNamespace(channel_units=policy.channel_units)
     told.sample, told.channel_values = lambda _: policy.channels(), lambda samples: tuple(samples.T)
     record, targets = Log(simulation, loop.driver, told, *log), list[Floats]()
@@ -131,7 +130,7 @@ def follow(
 
 
 class ClosedLoop:
-    """A simulated arm behind a policy, which is asked once in every control period.
+    """A policy that runs a simulated arm, and is asked once in every control period.
 
         policy.reset(q)
         loop.begin(q)
@@ -170,7 +169,7 @@ class ClosedLoop:
         """Ask the policy for the reference of this period, towards a target ``(n,)``; returns its CPU time [s]."""
         reference, row = self.reference, self.simulation.steps - self._forgotten
         if self._endless and reference.known + self.period > len(reference.q):
-            # Velocities take the row before the present one.
+            # Velocities also need the row before the present one.
             reference.forget(row - 1)
             self._forgotten += row - 1
         if self.simulation.disturbances.obstacles:

@@ -1,4 +1,4 @@
-"""Logs of simulations: raw data are copied at little cost at every step, and evaluated for all instants at once."""
+"""Logs of simulations: raw data are copied at every step, at little cost, and evaluated for all instants at once."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class ChannelSource(Protocol):
 class Channel:
     """A quantity to log besides the usual ones, computed from MuJoCo's data after each step.
 
-    What MuJoCo derives in a step (frames, velocities and centres of mass of bodies, sensors, forces) is of the instant
-    t[k] at which it begins, as row k of the log; qpos and qvel are already of t[k + 1].
+    What MuJoCo derives in a step (frames, velocities and centres of mass of bodies, sensors, forces) belongs to the
+    instant t[k] at which the step begins, as row k of the log does; qpos and qvel already belong to t[k + 1].
 
     Attributes:
         name: name of the channel.
@@ -99,7 +99,7 @@ class Log:
         self._simulation, self._rows = simulation, 0
         arm, data = simulation.arm, simulation.data
         self._data, self._first = data, simulation.steps
-        # A contiguous range of bodies, since a slice is copied in one piece, unlike selected rows.
+        # A contiguous range of bodies is logged, since a slice is copied in one piece, unlike selected rows.
         low, high = int(arm.frames.bodies.min()), int(arm.frames.bodies.max()) + 1
         self._frames = replace(arm.frames, bodies=arm.frames.bodies - low)
         before = {"qpos": data.qpos, "qvel": data.qvel, "ctrl": data.ctrl}
@@ -109,7 +109,7 @@ class Log:
             "positions": data.xpos[low:high],
             "rotations": data.xmat[low:high],
         }
-        # Writing bytes to a stream takes a fifth of the time of assigning rows of an array.
+        # Data are written to byte streams, which takes a fifth of the time of assigning rows of an array.
         self._log = {name: (io.BytesIO(), view) for name, view in {**before, **after}.items()}
         self._before = [(self._log[name][0].write, view) for name, view in before.items()]
         self._after = [(self._log[name][0].write, view) for name, view in after.items()]
@@ -208,7 +208,7 @@ class Log:
         counted = self._data.contact.exclude == 0
         if self._groups is not None:
             groups = self._groups.take(self._data.contact.geom)
-            if not any(groups.ravel().tolist()):  # of a few numbers, in a third of the time of an array's
+            if not any(groups.ravel().tolist()):  # for a few numbers a list takes a third of the time
                 return 0, 0.0
             first, second = groups.T
             counted &= (first != second) & ((first > 0) | (second > 0))
@@ -221,7 +221,7 @@ class Log:
 
 
 def _groups_of(arm: Arm, plant: mujoco.MjModel) -> NDArray[np.int_] | None:
-    """The group of each geom of a plant ``(ngeom,)`` that a view moves in one piece; zero for what it does not move."""
+    """For each geom of a plant ``(ngeom,)``, its group of geoms that a view moves as one; zero if it is not moved."""
     if arm.qpos_home is None:
         return None
     groups = moved_together(plant, arm.space.rate_addresses)

@@ -112,7 +112,7 @@ def simulate_many(
     workers = min(as_workers("threads", os.cpu_count() or 1 if threads is None else threads), len(chosen))
 
     def work(first: int) -> None:
-        """Every so many motions, with one controller and one plant: to make these takes a tenth of a simulation."""
+        """Simulate every so many motions with one controller and plant, since making these takes a tenth of a run."""
         reference = as_reference(arm, chosen[first], total, rate)
         driver, simulation = make_controlled(arm, controller, reference, changes)
         for index in range(first, len(chosen), workers):

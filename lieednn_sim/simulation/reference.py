@@ -1,4 +1,4 @@
-"""References for controllers at the simulation's steps, of which only a part may be known as yet."""
+"""References for controllers at the simulation's steps, which may be known only in part."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 _Steps = TypeVar("_Steps", int, NDArray[np.int_])
-# Number of steps computed at once: enough that more would gain little, few enough for the data to stay in the cache.
+# Number of steps computed at once: more would gain little, and their data would not stay in the cache.
 AHEAD = 256
 
 
@@ -110,14 +110,14 @@ class Reference:
 
 
 def runs(rows: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Where runs of equal rows ``(m, ...)`` begin, and the number of the run ``(m,)`` that each row is in."""
+    """The indices at which runs of equal rows ``(m, ...)`` begin, and the number of each row's run ``(m,)``."""
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
     return np.flatnonzero(new), np.cumsum(new) - 1
 
 
 class Foreseen:
-    """Rows, one per step, that follow from a reference, computed for many steps ahead, until more of it is known."""
+    """Rows, one per step, that depend on a reference; they are computed many steps ahead, until more of it is known."""
 
     def __init__(self, reference: Reference) -> None:
         self._reference = reference

@@ -43,18 +43,18 @@ class Rollout:
         ctrl: ``(K, nu)`` controls of the arm's own actuators, within the ranges to which MuJoCo clips them.
         force: ``(K, n)`` actuator force along each coordinate [N m, N], for ball joints about the axes of the moving
             body; gravity compensation by ``gravcomp`` is part of it at joints with ``actuatorgravcomp`` alone.
-        constraint_force: ``(K, n)`` the same for contacts, joint limits and welds.
+        constraint_force: ``(K, n)`` the same for the forces of contacts, joint limits and welds.
         link_position: ``(K, N, 3)`` simulated link frames, world [m].
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
-        contacts: ``(K,)`` number of contacts; of a view, those of what the arm moves or carries with anything that it
-            does not move along, fingers around a free body included.
+        contacts: ``(K,)`` number of contacts; for a view, those between what the arm moves or carries and anything that
+            does not move with it, fingers around a free body included.
         contact_force: ``(K,)`` largest normal force among the contacts [N].
         channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as those of `MocapWelds` and
             `Pushes`.
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
         qpos: ``(K, nq)`` positions in the order of the arm's model.
-        steps: when each step of a sequence began [s], and its name; none for a single motion.
+        steps: the time at which each step of a sequence began [s], and its name; empty for a single motion.
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
         disturbances: disturbances unknown to the controller.
@@ -137,10 +137,9 @@ class Rollout:
 
     @cached_property
     def tracked(self) -> tuple[Floats, Floats, Floats, Floats] | None:
-        """Times, planned joints and rates, and how far the joints were from these: what proofs of the run begin with.
+        """Times, planned joints and rates, and how far the joints were from these, for proofs about the run.
 
-        None without a plan, and where something else was moved than the arm and what it carries, since the plan has it
-        in another place.
+        None without a plan, or if anything but the arm and what it carries was moved, which the plan does not know.
         """
         if self.motion is None or self.disturbances.obstacles or moved_besides(self.arm, self.q, self.qpos):
             return None
@@ -150,12 +149,12 @@ class Rollout:
 
     @cached_property
     def clearance(self) -> Clearance | None:
-        """What is proved of its distances from contact at every instant: its plan's proof, less tracking errors."""
+        """The proved clearance of the run at every instant: that of its plan, reduced by the tracking errors."""
         return None if self.tracked is None else proved_clearance(self.arm, *self.tracked, others=True)
 
     @cached_property
     def outside(self) -> str:
-        """When and by which joint it left the proof of its plan's clearance; empty without one, and if it did not."""
+        """When and by which joint it left the proof of its plan's clearance; empty if it did not, or has no proof."""
         if self.motion is None or self.clearance is None or self.clearance.proved:
             return ""
         monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
@@ -201,7 +200,7 @@ class Rollout:
 
     @classmethod
     def load(cls, path: StrPath, arm: Arm, motion: Motion | None = None) -> Rollout:
-        """Read a file of `save`.
+        """Read a file that `save` wrote.
 
         Args:
             path: path of the file.
@@ -210,7 +209,7 @@ class Rollout:
             motion: the plan that was followed, which the file does not hold.
 
         Raises:
-            FileError: it is no such file, or it was made with another arm, scene or motion.
+            FileError: it is no such file, or belongs to another arm, scene or motion.
         """
         arrays, meta = io.load_arrays(path, "rollout")
         if arm.payload == 0.0 and isinstance(mass := meta.get("payload"), float):
@@ -230,7 +229,7 @@ class Rollout:
                 arm=arm,
                 motion=motion,
                 motion_end=float(meta["motion_end"]),
-                # Anybody's own, too: nothing is run because of its name.
+                # The name may be of a user's controller: nothing is run because of it.
                 controller=f"{meta['controller']:s}",
                 reference_rate=None if rate is None else float(rate),
                 disturbances=Disturbances.from_json(meta["disturbances"]),

@@ -23,7 +23,7 @@ from lieednn_sim.values import Floats
 
 
 class Simulation:
-    """A simulated arm, for loops of one's own; `simulate` and `follow` are made of it.
+    """A simulated arm for the user's own loops; `simulate` and `follow` are based on it.
 
     Its state is a function of the arguments, the last reset, and the controls since then. The user or a `Controller`
     sets ``data.ctrl``; `advance` or a `Log` does the steps.
@@ -31,12 +31,10 @@ class Simulation:
     Args:
         arm: the arm; its model is not changed.
         plant: the model to simulate; by default that of `make_plant` for the arm and the disturbances.
-        disturbances: pushes, sensor noise and moving obstacles, and without ``plant`` the changes of the model by
-            `make_plant`.
+        disturbances: pushes, sensor noise and moving obstacles; without ``plant``, also the changes of `make_plant`.
 
     Raises:
-        InputError: a pushed body is not there, or an obstacle is no body without joints, carries an arm, or moves
-            in two ways.
+        InputError: a pushed body does not exist, or an obstacle has joints, carries an arm, or moves in two ways.
 
     Attributes:
         model: the plant.
@@ -54,7 +52,7 @@ class Simulation:
         self.disturbances = Disturbances() if disturbances is None else disturbances
         self.model = make_plant(arm, self.disturbances) if plant is None else plant
         self.data = mujoco.MjData(self.model)
-        # Views are held: to ask for them takes as long as to read them.
+        # Views are kept, since asking for one takes as long as reading it.
         self._warnings, self._velocity, self._control = self.data.warning.number, self.data.qvel, self.data.ctrl
         self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
         self._moving = [(each, fixed_body(self.model, each.body)) for each in self.disturbances.obstacles]
@@ -67,7 +65,7 @@ class Simulation:
         self.reset(arm.coordinates(arm.model.qpos0 if arm.qpos_home is None else arm.qpos_home))
 
     def __getstate__(self) -> object:
-        # A copy's views would be of other data.
+        # The views of a copy would belong to other data.
         raise InputError("a Simulation, and what holds one, can neither be copied nor pickled: make another one")
 
     @property
@@ -109,8 +107,8 @@ class Simulation:
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
 
-        This also resets controls, mocap poses, warm starts, warnings, and the generator of the noise. What is not the
-        arm's begins as a view's state has it, or at the model's reference, at rest.
+        This also resets controls, mocap poses, warm starts, warnings, and the generator of the noise. What is not part
+        of the arm begins as in a view's state, or at the model's reference, at rest.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         velocity = np.zeros_like(position) if qd is None else as_floats("qd", qd, position.shape)
@@ -137,7 +135,7 @@ class Simulation:
         Raises:
             SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
         """
-        # More is an error of units.
+        # A larger number is an error of units.
         count = as_count("steps", steps, most=10**7)
         rows = None if controls is None else as_floats("controls", controls, (count, self.model.nu))
         with QuietWarnings():
@@ -178,7 +176,7 @@ def make_plant(
 ) -> mujoco.MjModel:
     """A model to simulate; neither the arm's model nor its spec is changed.
 
-    Of the disturbances, what changes the arm itself is used; gravity compensation stays that of the arm without them.
+    Only disturbances that change the arm itself are used; gravity compensation stays that of the undisturbed arm.
     ``add_bodies`` is called with a copy of the arm's spec, to add bodies after the arm's.
 
     Raises:

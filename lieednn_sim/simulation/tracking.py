@@ -50,7 +50,7 @@ def make_controlled(
 
 def as_hold(value: float) -> float:
     """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
-    # A longer one is an error of units, and would take gigabytes.
+    # A longer time is an error of units, and would take gigabytes.
     return as_nonnegative("hold", value, 1000.0)
 
 
@@ -88,8 +88,8 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
 def default_controller(arm: Arm) -> str:
     """Name of the controller that `simulate` takes by default.
 
-    It is ``position-servo`` for arms that are made for it, whose weight is compensated; ``inverse-dynamics`` for those
-    with a payload, and for those of other files that servos drive; and else ``feedback-linearisation``.
+    It is ``position-servo`` for arms that are made for it, whose weight is compensated; ``inverse-dynamics`` for these
+    with a payload, and for imported arms that servos drive; otherwise ``feedback-linearisation``.
     """
     if arm.qpos_home is None and arm.payload == 0.0:
         return "position-servo"
@@ -111,13 +111,13 @@ def simulate(
     """Simulate an arm whose controller tracks a motion and then holds its end.
 
     The simulation starts at rest at the motion's first position, and is a function of its arguments alone: two runs
-    are bit-identical. Of a view, it is the user's model from the state that the view was made of: other actuators keep
-    their controls of that state, and what is not the arm's moves as physics has it.
+    are bit-identical. For a view, the user's model is simulated from the state that the view was made from: other
+    actuators keep their controls of that state, and what is not part of the arm moves by physics.
 
     Args:
-        arm: the arm; its model is not changed. With the payload of a plan, if it has none: the controller knows it.
-        motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose steps of
-            controls end by time or by their events, which may come sooner or later than planned.
+        arm: the arm; its model is not changed. Without a payload, it gets that of the plan, which the controller knows.
+        motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose control steps
+            end by time or by events, which may come sooner or later than planned.
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
         controller: a name of `CONTROLLERS`, or ``file.py:class`` of one's own; by default that of `default_controller`.
         hold: time after the end of the motion [s].
@@ -125,15 +125,15 @@ def simulate(
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
         log: further quantities to log, each a `Channel`; the rollout has them in ``channels``.
-        stop_outside: whether the run ends, by `SimulationError`, at the first instant at which its joints are too far
-            from the motion for the proof of its clearance.
+        stop_outside: whether the run ends, by `SimulationError`, when its joints are too far from the motion for the
+            proof of its clearance.
 
     Raises:
-        InputError: the motion does not fit the model, or two channels have one name; a push begins when the run is
-            over, which of a sequence is known at its end alone; or the run is to stop outside of a proof, but there is
-            none: of the motion, of sequences, or with obstacles that move.
-        SimulationError: a warning of MuJoCo or a state that is not finite, an event of a sequence does not come in
-            time, or the run is to stop; it has the run up to there.
+        InputError: the motion does not fit the model; two channels have one name; a push begins when the run is over,
+            which is known only at the end of a sequence; or ``stop_outside`` is asked for, but the motion has no proof,
+            is a sequence, or obstacles move.
+        SimulationError: MuJoCo warns, a state is not finite, an event of a sequence does not come in time, or the run
+            left its proof; the error has the run up to there.
     """
     arm, sequence = as_loaded(arm, motion), motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
@@ -177,7 +177,7 @@ def simulate(
     except SimulationError as error:
         if len(seen) > 1:
             ended = {"motion_end": len(seen) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
-            # What was logged may be out of range before the state is.
+            # Logged values may leave their range before the state does; then there is no rollout.
             with contextlib.suppress(InputError):
                 error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
@@ -188,7 +188,7 @@ def simulate(
 
 
 def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Reference:
-    """The rows of a sequence in an arm's coordinates; the last one is also that of the rest after it."""
+    """The rows of a sequence in an arm's coordinates; the last one also serves for the rest after it."""
     if sequence.qpos.shape[1] != arm.model.nq or sequence.arm.joint_names != arm.joint_names:
         raise InputError(
             f"the sequence is of another model or of other joints: it has {sequence.qpos.shape[1]} positions and "
@@ -200,7 +200,7 @@ def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Refer
 
 
 class _Play:
-    """The steps of a sequence in a simulation, in which they are ``begun`` at times [s], and ``end`` at last."""
+    """The steps of a sequence in a simulation; ``begun`` has their first times [s] and names, ``end`` is the end."""
 
     def __init__(self, sequence: PlanSequence, simulation: Simulation, rest: int) -> None:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest
@@ -208,7 +208,7 @@ class _Play:
         self.end = float(sequence.t[-1])
 
     def rows(self) -> Iterator[int]:
-        """The row of the sequence to track in each step; whoever asks for the next one has done the step."""
+        """The row of the sequence to track in each step; the caller does the step before it asks for the next row."""
         sequence, simulation = self._sequence, self._simulation
         for number, part in enumerate(sequence.parts):
             self.begun.append((simulation.time, part.step.name))
@@ -234,7 +234,7 @@ class _Play:
 
 
 def _drive(driver: Controller, simulation: Simulation, total: int | None) -> Callable[[int], None]:
-    """A function that sets the controls of a step after a reset; if they follow from known steps, beforehand."""
+    """A function that sets the controls of a step after a reset; they are computed beforehand if they can be."""
     model, data = simulation.model, simulation.data
     inputs = None if total is None else driver.inputs(range(total), simulation.sensors.first(total))
     if inputs is None:

@@ -1,15 +1,15 @@
-"""How far feedback linearisation lets the joints be off a motion, if masses are not as the controller believes.
+"""How far joints can be off a motion under feedback linearisation, if masses are not as the controller believes.
 
-The controller exerts M' (a + w) + h' with the inertia M' and the bias h' of its own model, and the feedback
-w = 2 f e' + f^2 e of the natural frequency f, where e is the planned position less the joints' and a the planned
+The controller exerts M' (a + w) + h' with the inertia M' and the bias h' of its own model, and the feedback w = 2 f e'
++ f^2 e with the natural frequency f, where e is the planned position minus that of the joints and a the planned
 acceleration. The plant has M = M' + dM and h = h' + dh. So
 
     e'' + 2 f e' + f^2 e = d,    d = A (a + w) + M^-1 dh,    A = M^-1 dM,
 
-in each coordinate. From rest, the largest |d| there is, D, gives |e| <= D / f^2, |e'| <= 2 / (exp(1) f) D, and
-|w| <= (1 + 2 / exp(2)) D: these are the integrals of the impulse responses' magnitudes. Hence D <= |A a + M^-1 dh| +
-(1 + 2 / exp(2)) |A| D, entry by entry, which bounds D where the spectral radius of the last factor is below one (a
-small-gain condition). A and dh are taken where the joints may be by the bound that results.
+in each coordinate. Let D be the largest |d|. From rest, |e| <= D / f^2, |e'| <= 2 / (exp(1) f) D and |w| <= (1 + 2 /
+exp(2)) D: these factors are the integrals of the impulse responses' magnitudes. Hence D <= |A a + M^-1 dh| + (1 + 2 /
+exp(2)) |A| D, entry by entry, which bounds D if the spectral radius of the last factor is below one (a small-gain
+condition). A and dh are evaluated where the joints may be by the bound that results.
 """
 
 from __future__ import annotations
@@ -40,15 +40,14 @@ def tracking_bound(
 ) -> Floats:
     """Bound the tracking errors ``(n,)`` of a run by feedback linearisation before it is made [rad, m].
 
-    For every payload at the end effector up to the given one, and every scale in the given range of the masses and
-    inertias that move, both unknown to controller and gravity compensation (`Disturbances`). `planning.tube.find_tube`
-    takes it as ``tracking``.
+    The bound is for every payload at the end effector up to the given one, and every scale in the given range of the
+    masses and inertias that move, both unknown to controller and gravity compensation (`Disturbances`).
+    `planning.tube.find_tube` takes it as ``tracking``.
 
-    Assumed: the controllers ``computed-torque`` or ``feedback-linearisation`` with torques, which keep within their
-    limits; exact measurements, a step of time far below 1 / frequency, no friction that the controller does not know,
-    nothing else that pushes. Inertias and forces are evaluated at 100 instants of the motion, at joints and rates off
-    it by as much as is bounded, with random signs, for three scales and three payloads: the bound is not proved for
-    what lies between these.
+    It assumes the controllers ``computed-torque`` or ``feedback-linearisation`` with torques that stay within their
+    limits, exact measurements, a time step far below 1 / frequency, no friction that the controller does not know, and
+    no pushes. Inertias and forces are evaluated at 100 instants of the motion, with joints and rates off it by the
+    bound, with random signs, for three scales and three payloads: the bound is not proved for what lies between these.
 
     Args:
         arm: the arm, as the controller believes it to be.
@@ -59,7 +58,7 @@ def tracking_bound(
 
     Raises:
         InputError: a value is malformed, or the arm has ball joints or moves closed loops.
-        NotCertifiedError: masses may be off by so much that the feedback is not proved to hold the joints.
+        NotCertifiedError: masses may be off by so much that there is no proof that the feedback holds the joints.
     """
     low, high = as_floats("mass_scale", mass_scale, (2,)).tolist()
     if not 0.0 < low <= high:
@@ -93,7 +92,7 @@ def tracking_bound(
 
 
 class _Mismatch:
-    """What a plant's accelerations differ by from those that a controller asks for, along a motion."""
+    """The difference of a plant's accelerations from those that a controller asks for, along a motion."""
 
     def __init__(self, arm: Arm, plant: mujoco.MjModel, motion: Motion) -> None:
         self._arm, self._models = arm, (plant, arm.model)

@@ -13,9 +13,9 @@ barrier within bounds on P, is found by Newton's method, and leaves room to lowe
 each other down to the least lambda (Boyd and El Ghaoui, Linear Algebra and its Applications 188, 1993). Each lowering
 first follows the tangent of the path of centres, which saves most of the Newton steps.
 
-In relative changes d of P the barrier's derivatives need three products of matrices. With M = S W S^-1,
-A = lambda I - M and G = (A + A^T)^-1 the gradient is -2 (A G)_ii, the Hessian 2 (G o (A G A^T) + (A G) o (A G)^T), o
-entry by entry, and the gradient's derivative in lambda -2 (G - 2 A G G)_ii.
+In relative changes of P the barrier's derivatives need three products of matrices. With M = S W S^-1, A = lambda I - M
+and G = (A + A^T)^-1 the gradient is -2 (A G)_ii, the Hessian 2 (G o (A G A^T) + (A G) o (A G)^T), where o multiplies
+entry by entry, and the gradient's derivative in lambda is -2 (G - 2 A G G)_ii.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     root = np.sqrt(diagonal)
     # The quotient first: within the bounds on P it neither overflows nor underflows, nor do its products with W.
     scaled = matrix * (root[:, None] / root)
-    # By a power of two, which is exact, so that the eigensolver and the norm see entries of about 1.
+    # Scaled by a power of two, which is exact, so that the eigensolver and the norm see entries of about 1.
     exponent = int(np.frexp(np.abs(scaled).max())[1])
     unit = np.ldexp(scaled, -exponent)
     # Forming an entry rounds at most five times; the symmetric eigensolver and the reduction, by reflections, are
@@ -125,17 +125,17 @@ def _largest(matrix: Floats) -> float:
     few = int(heard.sum())
     if few == 0 or 2 * few >= len(matrix):
         return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[-1])
-    # With rows (A, B) and B^T = Q R, an orthogonal change of the other coordinates leaves (A, R^T), and zeros.
+    # With rows (A, B) and B^T = Q R, an orthogonal transformation of the other coordinates leaves (A, R^T), and zeros.
     triangle = np.asarray(np.linalg.qr(matrix[heard][:, ~heard].T, "r"))
     rows = np.concatenate([matrix[np.ix_(heard, heard)], triangle.T], axis=1)
     square = np.zeros((rows.shape[1], rows.shape[1]))
     square[:few] = 0.5 * rows
-    # The zeros of the other coordinates do not exceed it, since it has a block of zeros, too.
+    # The other coordinates add eigenvalues of zero, which do not exceed it, since it has a block of zeros, too.
     return float(np.linalg.eigvalsh(square + square.T)[-1])
 
 
 def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1) -> Certificate:
-    """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it; it need not be `valid`.
+    """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it; the result may be invalid.
 
     It follows the path of analytic centres (`minimise_by_centres`) down from the P that weighted norms suggest.
     In P the problem is quasi-convex, so a failure is strong evidence, though no proof, that there is no diagonal P with
@@ -154,7 +154,7 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, 
     n, size = len(matrix), as_count("group_size", group_size)
     if n % size:
         raise InputError(f"group_size must divide the {n} rows of weight, got {size}")
-    # The diagonal that proves whatever a weighted norm proves: the majorant's Perron vectors, left over right.
+    # The majorant's left Perron vector over the right one is a diagonal that proves whatever a weighted norm proves.
     weights = weighted_norm(matrix)
     perron = 0.5 * np.log(weights.left / weights.right).reshape(-1, size).mean(axis=1)
     candidates = [np.zeros(n // size), perron, minimise_by_centres(matrix, size, perron)]
@@ -163,7 +163,7 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, 
 
 
 def known_or_found(lyapunov_diagonal: ArrayLike | None, weight: ArrayLike, *, gamma: float, mu: float) -> Certificate:
-    """The certificate of a known diagonal if it is valid, else the best one found."""
+    """The certificate of a known diagonal if it is valid, otherwise the best one found."""
     if lyapunov_diagonal is not None:
         certificate = verify(lyapunov_diagonal, weight, gamma=gamma, mu=mu)
         if certificate.valid:
@@ -188,7 +188,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
     """Log S ``(n / group_size,)`` that makes the largest eigenvalue of sym(S W S^-1) smallest, with |log S| <= 8.
 
     Nothing about it is guaranteed: pass it to `stability.verify`. Entries of S are equal within consecutive groups of
-    ``group_size``. Of the initial log S, ``start``, a common factor is removed, and the rest is clipped to the bounds.
+    ``group_size``. The initial log S, ``start``, is centred at zero and clipped to the bounds.
     """
     inside = 0.99 * _LOG_SCALE_BOUND
     start = np.clip(start - start.mean(), -inside, inside)
@@ -208,7 +208,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
             tangent = np.asarray(np.linalg.solve(hessian, slope), np.float64)
             entries, level = search.lower(entries, tangent, level, gap)
     except np.linalg.LinAlgError:
-        pass  # so near the least level that F is singular up to rounding
+        pass  # the level is so near the least one that F is singular up to rounding
     return 0.5 * np.log(search.best)
 
 

@@ -1,8 +1,8 @@
 """The hierarchy of stability conditions: which of them hold for a network, and the rate that each one proves.
 
 They range from sums of weights over the best diagonal Lyapunov matrix to local stability; which implies which is in
-`docs/mathematics/certificates.md`. A later condition need not prove a higher rate than an earlier one in its own
-distance, so the verdict names both the first that holds and the fastest.
+`docs/mathematics/certificates.md`. A later condition does not always prove a higher rate than an earlier one, each in
+its own distance, so the verdict names both the first that holds and the fastest.
 """
 
 from __future__ import annotations
@@ -145,8 +145,8 @@ def assess(
     same rate up to any small epsilon. The log norm 2 on W_R proves the same for W through diag(I, eps I). Only
     unweighted norms depend on the other blocks, by which omega drives v, and need the whole W.
 
-    Coordinates without inputs, where they are more than half of all, are left out of the weighted log norm and of
-    contraction for the same reason: a large weight of theirs makes what they send arbitrarily small.
+    If more than half of the coordinates have no inputs, these are left out of the weighted log norm and of contraction,
+    for the same reason: a large weight on them makes what they send arbitrarily small.
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.

@@ -85,7 +85,7 @@ def verify_contraction(
     total = inverse.T + local @ scaled
     norm = float(np.linalg.norm(total, 2))
     size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
-    # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, the largest: T^-1 dT T^-1.
+    # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, T^-1 dT T^-1, the largest.
     error = (10.0 + 2.0 * n) * EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
     # A triangular factor with a larger condition number has no useful inverse in floating point.
     if size * inverse_size > 1e12 or not np.isfinite(norm + error):
@@ -117,7 +117,7 @@ def find_contraction(
     magnitude = float(np.abs(scale(matrix, best)).max()) or 1.0
     unit = matrix / magnitude
     level, angle, symmetric = least_level(scale(unit, best))
-    # Where the worst angle costs more than a hundredth of gamma/mu, it is worth moving Q.
+    # If the worst angle costs more than a hundredth of gamma/mu, moving Q is worth while.
     if level - symmetric > 0.01 * bound / magnitude:
         # exp(i a) as a real rotation: its Hermitian part keeps its eigenvalues, each twice.
         turn = np.cos(angle) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -157,7 +157,7 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
 
 
 def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
-    """T ``(n, n)`` of a well-conditioned P that proves a level v with Q = S^2, or None.
+    """T ``(n, n)`` of a well-conditioned P that proves the level v with Q = S^2; None if there is none.
 
     Equality in the inequality of `docs/mathematics/robustness.md` is a Riccati equation for X = S^-1 P S^-1: with
     M = S W S^-1, (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.

@@ -23,8 +23,8 @@ EPS = float(np.finfo(float).eps)
 def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
     """Smallest 1-norm that a matrix W with W output = required can have: ||required||_1 / ||output||_1.
 
-    The output is phi(xi*) of any shape, (gamma/mu) xi* - b, of the same, is required. Infinite when the output vanishes
-    beside the requirement, 0 when both vanish.
+    The output is phi(xi*), of any shape; (gamma/mu) xi* - b, of the same shape, is required. The result is infinite if
+    only the output vanishes, and 0 if both do.
     """
     outputs = as_floats("output", output, (), batched=True)
     given, target = np.abs(outputs).sum(), np.abs(as_floats("required", required, outputs.shape)).sum()
@@ -148,7 +148,7 @@ def _positive_vectors(majorant: Floats, level: float) -> WeightedNorm | None:
     except np.linalg.LinAlgError:
         return None
     for vector in (left, right):
-        # Weights further apart give a distance that says nothing about the state.
+        # A distance with weights further apart says nothing about the state.
         if not vector.min() > vector.max() / 1e12:
             return None
     left = left / left.max()

@@ -1,15 +1,16 @@
 """How far a push throws a network, for how long, how far it lags behind a moving target, and which time steps are safe.
 
-A push moves only the coordinates that W lets it reach: the others stay on their course. So everything is proved on the
-submatrix of the coordinates reached, and in a cascade a push on its last layer involves that layer alone.
+A push moves only the coordinates that it reaches through W; the others stay on their course. So everything is proved on
+the submatrix of the coordinates reached; in a cascade, a push on the last layer involves that layer alone.
 
-There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`: contraction
-of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4; and where that
-is not proved, the certificate's own diagonal P = S^2, about the equilibrium, by U = eps |S e|^2 / 2 + V.
+There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`. One is
+contraction of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4. The
+other, for where contraction is not proved, is about the equilibrium: it uses the certificate's own diagonal P = S^2 and
+the function U = eps |S e|^2 / 2 + V.
 
-Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| = |S e| and |g| = |S f|, where f is
-what phi makes of e, tells when a step h lets U fall. The mean of the four fields of Runge-Kutta 4 differs from the
-first by at most z/2 + z^2/6 + z^3/24 of it, z = h (gamma + mu |S W S^-1|_2).
+The second derivative of U is at most (1 + eps) P. A quadratic form in |y| = |S e| and |g| = |S f|, where f is the
+change of phi that e causes, tells whether U falls in a step h. The mean of the four fields of Runge-Kutta 4 differs
+from the first by at most the fraction z/2 + z^2/6 + z^3/24 of it, with z = h (gamma + mu |S W S^-1|_2).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Indices = NDArray[np.intp]
 
 #: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
-_UP = 1.0 + 1e-9  # rounding of norms of well-conditioned matrices, many times over
+_UP = 1.0 + 1e-9  # many times the rounding of norms of well-conditioned matrices
 
 
 @frozen
@@ -64,7 +65,7 @@ class Guarantee:
 def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
     """Guarantees of contraction with Q = S^2, at rates below the best one."""
     results = []
-    # Fractions of the highest rate that are given up: slower rates allow rounder norms.
+    # A fraction of the highest rate is given up, since slower rates allow rounder norms.
     for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
         factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
         if factor is None:
@@ -98,7 +99,7 @@ def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> 
     drive = max(mu * _spectral_norm(scale(weight, log_scale)) * _UP, 1e-6 * gamma)
     for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():  # fractions of the highest rate that are kept
         c = fraction * certificate.rate
-        # Below the largest, so that the quadratic form of the steps is definite.
+        # Below the largest eps, so that the quadratic form of the steps is definite.
         eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
         euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
         root, growth = np.asarray(np.exp(log_scale), np.float64), 1.0 + 1.0 / eps
@@ -144,8 +145,8 @@ class Robustness:
         pushed: flat coordinates that a push may move, ascending.
         reached: those that it eventually moves, ``(m,)``, ascending.
         guarantees: guarantees that all hold; every method uses the sharpest one.
-        others: the bounds for the coordinates that are not reached, or None where all are. Only the largest time step
-            depends on them, since the steps of a run must suit all coordinates.
+        others: the bounds for the coordinates that are not reached; None if all are. Only the largest time step depends
+            on them, since the steps of a run must suit all coordinates.
     """
 
     pushed: Indices
@@ -155,7 +156,7 @@ class Robustness:
 
     @property
     def contracting(self) -> Robustness | None:
-        """The guarantees by contraction, which hold between any two motions; None where there are none."""
+        """The guarantees by contraction, which hold between any two motions; None if there are none."""
         chosen = tuple(guarantee for guarantee in self.guarantees if guarantee.contracting)
         return replace(self, guarantees=chosen) if chosen else None
 
@@ -180,17 +181,17 @@ class Robustness:
         """Largest |e_watched| behind an equilibrium that moves at speed 1 in ``moved``, starting without lag.
 
         The equilibrium moves by the bias b(t) = (gamma/mu) x*(t) - W phi(x*(t)). A larger initial lag decays to this
-        one like a push. Arguments as in `push_gain`; in the state's units per unit of speed, that is in network time.
+        one like a push. Arguments are as in `push_gain`; the unit is that of the state per unit of speed: network time.
         """
         return min(guarantee.delay * gain for guarantee, gain in self._gains(moved, watched))
 
     def largest_step(self, method: str) -> float:
         """Largest time step with which fixed steps by ``method``, one of `INTEGRATORS_WITH_PROOF`, keep the proof.
 
-        Each step then brings two runs closer (contraction), or one closer to the equilibrium, in the guarantee's norm
-        or function U: first in the coordinates that no push reaches and, as these come to rest, in the others; so the
-        run ends where the network does. In network time. Methods whose weights are not all positive, such as the
-        adaptive RK45, have no proof here.
+        Each step then brings two runs closer together (contraction), or one closer to the equilibrium, in the
+        guarantee's norm or function U: first in the coordinates that no push reaches and, as these come to rest, in the
+        others. So the run ends where the network does. The result is in network time. Methods whose weights are not all
+        positive, such as the adaptive RK45, have no proof here.
         """
         euler = as_choice("method", method, INTEGRATORS_WITH_PROOF) == "Euler"
         largest = max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
@@ -251,7 +252,7 @@ def robustness(
     reached = np.isin(np.arange(n), moved)
     while (wider := reached | matrix[:, reached].any(axis=1)).sum() > reached.sum():
         reached = wider
-    # Coordinates of W_R for those reached; S of W follows from S of W_R, for each weight of v.
+    # The coordinates of W_R that belong to those reached; S of W follows from S of W_R, for each weight of v.
     twists = rotational_weight is not None
     core = matrix if rotational_weight is None else as_floats("rotational_weight", rotational_weight, (n // 2, n // 2))
     kept = reached.reshape(-1, 2, 3).any(axis=1).ravel() if twists else reached
@@ -264,7 +265,7 @@ def robustness(
     contraction = find_contraction(part, gamma=gamma, mu=mu, lyapunov_diagonal=certificate.lyapunov_diagonal)
     inner = matrix[np.ix_(reached, reached)]
     guarantees: list[Guarantee] = []
-    # Weights of v against omega: with smaller ones, omega's coupling to v costs less in rate, and more in size.
+    # Weights of v against omega: with smaller ones, the coupling of omega to v costs less rate, but more size.
     translation_weights = (1.0, 0.25, 0.06, 0.015, 0.004, 1e-4)
     for weight_of_v in translation_weights if twists else (1.0,):
 
@@ -283,29 +284,29 @@ def robustness(
         raise NotCertifiedError("the certificate is too near its bound for proofs about pushes")
     others = None
     if not reached.all():
-        # The reached coordinates do not affect them. They need not be whole twists, so the proof is on W itself.
+        # The others are not affected by the reached ones. They need not be whole twists, so the proof is on W itself.
         rest = matrix[np.ix_(~reached, ~reached)]
-        every, alone = np.arange(len(rest)), not rest.any()  # where each decays on its own, as one does
+        every, alone = np.arange(len(rest)), not rest.any()  # if each decays on its own, one stands for all
         others = robustness(rest[:1, :1] if alone else rest, gamma=gamma, mu=mu)
         others = replace(others, pushed=every, reached=every)
     return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
 
 
 def flat_coordinates(name: str, value: ArrayLike, n: int) -> Indices:
-    """The flat coordinates, out of n, that a value names: ascending, each once, at least one."""
+    """The flat coordinates, out of n, that a value names: ascending, without repetitions, at least one."""
     try:
-        # Looked at before it is copied.
+        # The length is checked before the value is copied.
         given = np.empty(0) if len(value) > n else np.unique(np.asarray(value))  # type: ignore[arg-type]
     except (TypeError, ValueError):
         given = np.empty(0)
-    # Masks and fractions would be taken for other coordinates.
+    # Masks and fractions would be mistaken for other coordinates.
     if given.dtype.kind not in "iu" or not len(given) or given[0] < 0 or given[-1] >= n:
         raise InputError(f"{name} must name coordinates from 0 to {n - 1} by whole numbers, got {quoted(value)}")
     return given.astype(np.intp)
 
 
 class Decay:
-    """How far a network may still be from its equilibrium, by proof, a time after it was some way off.
+    """A proved bound of a network's distance from its equilibrium, a time after it was some distance off.
 
     With e the state minus the equilibrium, a guarantee |T e(t)| <= k exp(-r t) |T e(0)| bounds the first m coordinates
     by |e_m(t)| <= |T^-1_m| k exp(-r t) |T e(0)|, where T^-1_m are the first m rows. The least bound of all guarantees

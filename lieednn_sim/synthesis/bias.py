@@ -9,8 +9,8 @@ from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Where the strength must be raised: W u = c must leave room below the bound, u^T P c <= _AIM u^T P u, for a P that
-# weights helpful coordinates at most 1 / _HELP times as much as harmful ones.
+# The strength is raised until W u = c leaves room below the bound, u^T P c <= _AIM u^T P u, for a P that weights
+# helpful coordinates at most 1 / _HELP times as much as harmful ones.
 _AIM, _HELP = 0.85, 0.2
 
 
@@ -20,8 +20,8 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
     - ``"uniform"``: every entry is ``magnitude``, as in the paper.
     - ``"sign-matched"``: ``xi`` clipped to +-``magnitude``, times ``bound``. It has the target's sign at full strength
       for every coordinate larger than the magnitude and is continuous through zero, so that a coordinate that is zero
-      up to rounding gets no bias that the weights would have to cancel. The magnitude is raised where a certificate
-      needs it, see `_least_strength`, for each part of `equation_columns`.
+      up to rounding gets no bias that the weights would have to cancel. If a certificate needs it, the magnitude is
+      raised (`_least_strength`) for each part of `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
     BIAS_RULES.find(rule)
@@ -40,9 +40,9 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
     """The least strength, at least ``magnitude``, at which the target leaves room for a certificate.
 
     With P diagonal, u = phi(xi) and W u = c = xi - clip(xi, -strength, strength), sum_i p_i u_i (c_i - u_i) < 0 is
-    necessary. Coordinate i helps where u_i (c_i - _AIM u_i) < 0, and those that help must together outweigh `_HELP`
-    times the others. So an angle near zero, which always helps but only by its square, does not count as one that
-    carries the certificate. Every term falls with the strength, and all help once it reaches the largest |xi_i|.
+    necessary. Coordinate i helps if u_i (c_i - _AIM u_i) < 0, and those that help must together outweigh `_HELP` times
+    the others. So an angle near zero, which always helps but only by its square, is not counted as one that carries the
+    certificate. Every term falls with the strength, and all coordinates help once it reaches the largest |xi_i|.
     """
 
     def surplus(strength: float) -> float:
@@ -57,9 +57,8 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
 def equation_columns(xi: Floats) -> list[slice]:
     """The parts (omega, v) of the target whose equations the weights W_R should meet without translations t.
 
-    W_R always meets the rotational ones. It also meets the translational ones where t could not: when the rotations are
-    small, or when only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever
-    arm.
+    W_R always meets the rotational ones. It also has to meet the translational ones if t cannot: if the rotations are
+    small, or only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever arm.
     """
     # Rotations drive translations through t poorly when all their coordinates are below the first of these [rad], and
     # not at all when a single neuron turns by more than the second.
@@ -71,11 +70,11 @@ def equation_columns(xi: Floats) -> list[slice]:
 
 
 def impossibility(outputs: Floats, required: Floats) -> str | None:
-    """Why no weights can be certified with this equilibrium and bias, or None where nothing forbids it.
+    """Why no weights can be certified with this equilibrium and bias; None if nothing forbids it.
 
     In units of gamma/mu: with P diagonal, the outputs u = phi(xi) ``(N, 6)`` and W u = c, which is required to be
     xi - (mu/gamma) b, P (W - I) is negative definite only when sum_i p_i u_i (c_i - u_i) < 0, so at least one
-    rotational coordinate must have u_i (c_i - u_i) < 0. Where all outputs are zero, zero must be required, for W 0 = 0.
+    rotational coordinate must have u_i (c_i - u_i) < 0. If all outputs are zero, c must be zero, too, since W 0 = 0.
     """
     for part, name in ((slice(0, 3), "rotational"), (slice(3, 6), "translational")):
         given, target = outputs[:, part], required[:, part]

@@ -24,12 +24,12 @@ from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, pol
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats, frozen
 
-#: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the
-#: equilibrium; the solution is usually exact to 1e-13.
+#: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the equilibrium;
+#: the solution is usually exact to 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
 _LARGEST_TRANSLATION = 20.0  # largest |t_ij| allowed
 _LARGEST_NORM = 1e3  # largest norm of W_R that is searched for, in units of gamma/mu
-_LARGEST_STACK = 2**23  # most derivatives of entries of the symmetric matrices in a stack: 64 MB
+_LARGEST_STACK = 2**23  # largest number of derivatives of entries of the symmetric matrices in a stack: 64 MB
 
 
 @frozen
@@ -155,15 +155,15 @@ class _Task:
         # What W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
         self.ratio = self.rates["gamma"] / self.rates["mu"]
         self.required = self.target - self.offset / self.ratio
-        # Column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones alone
-        # where the translations t may meet the others.
+        # Column sets that W_R has to meet, tried in turn: those that suit the target, and then, if the translations t
+        # may meet the others, the rotational ones alone.
         self.choices = [equation_columns(self.target)]
         if len(self.choices[0]) > 1 and self.state[:, :3].any():
             self.choices.append(self.choices[0][:1])
 
     @property
     def columns(self) -> list[slice]:
-        """The columns that W_R is to meet at the next attempt."""
+        """The columns that W_R has to meet at the next attempt."""
         return self.choices[self.attempts % len(self.choices)]
 
     def end(self, message: str, network: LieEDNN | None = None, *, impossible: bool = False) -> Synthesis:
@@ -186,7 +186,7 @@ class _Task:
                 self.outcome = None
 
     def refuse(self) -> None:
-        """End if no weights can reach the target, or only larger ones than are searched for."""
+        """End if no weights can reach the target, or only larger ones than those searched for."""
         reason = impossibility(self.state, self.required)
         if reason is not None:
             self.end(f"not certified: {reason}", impossible=True)
@@ -216,7 +216,7 @@ def _attempt_all(
     if targets.shape[1] == 0:
         raise InputError("xi must have shape (..., N, 6) with N >= 1, got N = 0")
     rates = {**as_rates(gamma, mu), "activation": as_activation(activation)}
-    # Some minutes of searching: where thousands of starts find nothing, more don't either.
+    # The bound means minutes of searching: if thousands of starts find nothing, more don't either.
     as_count("max_attempts", max_attempts, most=10_000)
     start, solved = cpu_time(), isinstance(bias, str) and bias == "solved"
     tasks = []
@@ -256,7 +256,7 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
     for task in stack:
         task.attempts += 1
     if solved:
-        # Any weights will do: the bias that makes the target their equilibrium is solved for afterwards.
+        # Any weights will do, since the bias that makes the target their equilibrium is computed afterwards.
         still = np.zeros((*problem.signs.shape, 3))
         for task, network in zip(stack, _networks(stack, problem, contracted(problem, start), still), strict=True):
             task.offer(network.retarget(task.target))
@@ -268,7 +268,7 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
 
 def _patient_attempt(task: _Task) -> None:
     """Search from another start by the patient method, which may take seconds."""
-    # The bounds in turn for each choice of columns.
+    # Each choice of columns is tried with one bound after another.
     bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
     problem, start = _start([task])
     task.attempts += 1
@@ -279,7 +279,7 @@ def _patient_attempt(task: _Task) -> None:
 
 def _offer_polished(stack: Sequence[_Task], problem: Problem, unknowns: Floats) -> None:
     """Offer each task its network, polished with smaller and smaller quaternion weights until it is accepted."""
-    # The less the quaternions move, the better the certificate survives, but the larger the translations.
+    # The less the quaternions move, the less the certificate suffers, but the larger are the translations.
     for weight in (0.05, 0.01, 0.001):
         if not stack:
             return

@@ -76,7 +76,7 @@ class Problem:
 
     Inputs and outputs have K columns each, ``(N, 3, K)``; the signs ``(N, N)`` of the blocks' alpha are fixed.
 
-    Arguments, unknowns and results may have leading axes, as a stack of independent problems of one size: products,
+    Arguments, unknowns and results may have leading axes, for a stack of independent problems of one size. Products,
     solves and decompositions are those of each problem by itself, so that its results are the same in every stack, to
     the last bit.
     """
@@ -88,7 +88,7 @@ class Problem:
         self.size = 3 * self.n_neurons
 
     def of(self, which: Indices | int) -> Problem:
-        """The problems of a stack with these indices; that with one index has no leading axis."""
+        """The problems of a stack with these indices; for a single index, one without a leading axis."""
         if not isinstance(which, int) and len(which) == len(self.signs):
             return self
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
@@ -180,7 +180,7 @@ def random_starts(
 ) -> tuple[Problem, Floats]:
     """A stack of B random problems (signs of the blocks) and a random start ``(B, 4 N^2 + 3N)``, each by its generator.
 
-    ``required`` is what W phi(xi) must be, phi(xi) the ``state``, both ``(B, N, 6)``; ``columns`` are the parts of the
+    ``state`` is phi(xi) and ``required`` what W phi(xi) must be, both ``(B, N, 6)``; ``columns`` are the parts of the
     twists that W_R must meet by itself.
     """
     count, n = state.shape[:2]
@@ -201,10 +201,10 @@ def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
     """The log S of least spread with sum_i s_i^2 u_i (c_i - u_i) < 0, without which no weights can be certified."""
     work = (inputs * (outputs - 0.9 * inputs)).sum(axis=-1).reshape(len(inputs), -1)
     helpful = np.where(work < 0.0, 1.0, -1.0)
-    # All spreads at once, (B, T, 3N), in a quarter of the time of one after another.
+    # All spreads at once, (B, T, 3N), which takes a quarter of the time of a loop.
     power = np.exp(_SPREADS[:, None] * helpful[:, None])
     enough = (power * work[:, None]).sum(axis=-1) <= -0.1 * (power * np.abs(work)[:, None]).sum(axis=-1)
-    enough[:, -1] = True  # where none is enough, the last one
+    enough[:, -1] = True  # if none is enough, the last one is taken
     return 0.5 * _SPREADS[enough.argmax(axis=-1)][:, None] * helpful
 
 

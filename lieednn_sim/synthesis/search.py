@@ -14,12 +14,12 @@ from lieednn_sim.lie.se3 import skew
 from lieednn_sim.synthesis.problem import Point, Problem, pairs
 from lieednn_sim.values import Floats
 
-_ROUGH = 1e-2  # the searches need meet the equations only this well: from there the polish converges quadratically
-# Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
+_ROUGH = 1e-2  # the searches need to meet the equations only this well: from there the polish converges quadratically
+# Fast search: weight of the equations against the eigenvalues, largest number of steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-_PIECE = 32  # number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache
-# Bound on |log S| that keeps S W S^-1 computable; only targets at the very edge of what can be certified come near it.
+_PIECE = 32  # number of problems whose eigenspaces are differentiated at once, which fit into the processor's cache
+# Bound on |log S| that keeps S W S^-1 computable; only targets at the edge of what can be certified come near it.
 _LOG_SCALE_BOUND = 8.0
 # Bounds on quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
 QUATERNION_BOUNDS = (3.0, 60.0)
@@ -92,8 +92,9 @@ class _Linear(NamedTuple):
     def step(self, damping: float) -> tuple[Floats, float]:
         """The minimiser of |residual + jacobian step|^2 + damping |step|^2, and half the squared residual there.
 
-        In the dual form, since rows are fewer than unknowns: with (J J^T + damping I) y = r the step is -J^T y, and the
-        residual left is damping y. One by one, since NumPy has no stacked Cholesky solve and LU costs twice as much.
+        In the dual form, since there are fewer rows than unknowns: with (J J^T + damping I) y = r the step is -J^T y,
+        and the residual left is damping y. Problems are solved in turn: NumPy has no stacked Cholesky solve, and LU
+        costs twice as much.
         """
         damped = self.gram.copy()
         damped.ravel()[:: len(damped) + 1] += damping
@@ -143,9 +144,9 @@ def smallest_eigenvalue_point(
 ) -> Floats | None:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
-    Slower than `feasible_points` by an order of magnitude, but it finds the large weights that targets near the edge of
-    what can be certified need. Where smaller weights suffice, a start may still run off to weights in the thousands,
-    with translations as large: hence a bound on every quaternion, from `QUATERNION_BOUNDS`.
+    It is slower than `feasible_points` by an order of magnitude, but it finds the large weights that targets near the
+    edge of what can be certified need. Even if smaller weights suffice, a start may run off to weights in the
+    thousands, with translations as large: hence a bound on every quaternion, from `QUATERNION_BOUNDS`.
     """
     unknowns = start
     bounds = [(-quaternion_bound, quaternion_bound)] * problem.n_quaternion
@@ -171,11 +172,11 @@ def smallest_eigenvalue_point(
 def polish(
     problem: Problem, unknowns: Floats, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
 ) -> tuple[Floats, Floats]:
-    """Meet all 6N equilibrium equations by Gauss-Newton steps: unknowns, and translations ``(B, N, N, 3)``.
+    """Meet all 6N equilibrium equations by Gauss-Newton steps; returns unknowns and translations ``(B, N, N, 3)``.
 
-    Steps have the least norm. Quaternions are weighted down, so that translations do the work where they can and the
-    certificate hardly changes; where the rotations are too small to drive a translation, the quaternions step in and
-    |t| stays small: a step of theirs of the size ``quaternion_weight`` counts as much as a unit translation.
+    Steps have the least norm. Quaternions are weighted down, so that translations do the work if they can, and the
+    certificate hardly changes. If the rotations are too small to drive a translation, the quaternions change instead
+    and |t| stays small: a quaternion step of the size ``quaternion_weight`` counts as much as a unit translation.
 
     The unknowns ``(B, 4 N^2 + 3N)`` of the problems meet the rotational equations roughly; ``state`` and ``required``
     are as for `random_starts`.
@@ -224,7 +225,7 @@ def polish(
 def _least_norm(rows: Floats, error: Floats) -> Floats:
     """Least-norm x with rows x = error, ``(..., m, n)`` and ``(..., m)``; least squares where rows are dependent.
 
-    By normal equations where their condition number allows it, at a tenth of the cost; else by pseudo-inverses.
+    It uses normal equations if their condition number allows it, at a tenth of the cost; otherwise pseudo-inverses.
     """
     gram = rows @ rows.swapaxes(-1, -2)
     squares = np.diagonal(gram, axis1=-2, axis2=-1)

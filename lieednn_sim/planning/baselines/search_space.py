@@ -26,7 +26,7 @@ from lieednn_sim.values import Floats
 class EdgeTest:
     """Tests of points and edges in a workspace, which counts the configurations tested; independent of OMPL.
 
-    On an edge, a link frame moves by about ``spacing`` [m] at most from one of them to the next.
+    On an edge, a link frame moves by at most about ``spacing`` [m] from one tested configuration to the next.
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].
@@ -64,7 +64,7 @@ class EdgeTest:
 
     def passable(self, first: Floats, second: Floats) -> bool:
         """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced configurations."""
-        # An end found clear before is not tested again, but counts as work. Most edges that are blocked are so there.
+        # An end found clear before is not tested again, but counts as work. Most blocked edges are blocked there.
         if second.tobytes() in self._known:
             self._clear.tests += 1
         elif not self.free(second):
@@ -75,8 +75,8 @@ class EdgeTest:
 
     def over(self, tests: int) -> bool:
         """Whether a search must end that may test ``tests`` configurations; the search asks in its loop."""
-        # Calls count, too, of which most have a test: a planner that knows the shortest path tests nothing any more. At
-        # the clock it looks now and then, since that takes as long as half a test.
+        # Calls count, too: most come with a test, but a planner that knows the shortest path tests nothing any more.
+        # The clock is read now and then, since that takes as long as half a test.
         if (calls := next(self._looks)) % 16 == 0 and out_of_time():
             self._clear.tests = tests
         return calls >= 2 * tests or self._clear.tests >= tests

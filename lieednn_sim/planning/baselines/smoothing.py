@@ -53,8 +53,8 @@ class SmoothingOptions(PlannerOptions):
 def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked) -> Motion:
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
-    To ``blocked`` are added numbers of control points whose curves are blocked at any duration, with the reasons; pass
-    it on to calls with other durations, in which these curves are skipped.
+    Numbers of control points whose curves are blocked at any duration are added to ``blocked``, with the reasons; pass
+    it on to calls with other durations, which then skip these curves.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
@@ -89,10 +89,10 @@ def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOp
 def motion_along_first(
     problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str
 ) -> Motion:
-    """The motion along the first path that can be followed, in the time that it needs, for the planner of a name.
+    """The motion along the first path that can be followed, in the time that it needs; ``name`` is the planner's.
 
     ``path`` maps the number of an attempt to corners ``(M, n)``, or to None if it fails. Paths do not depend on the
-    duration; it should remember them, since they are asked for again when the motion needs more time.
+    duration; ``path`` should cache them, since they are asked for again when the motion needs more time.
 
     Raises:
         PlanError: there is no path, or none can be followed.

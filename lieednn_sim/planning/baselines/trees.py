@@ -55,7 +55,7 @@ def connected(
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
         samples = next(samples_of)
         near, distance = grown.nearest(samples)
-        # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
+        # Try samples within the domains of their nearest nodes in turn or, if there are none, the one least outside.
         outside = distance / grown.radius[near]
         inside = (outside <= 1.0).nonzero()[0]
         for index in inside.tolist() if len(inside) else [int(outside.argmin())]:
@@ -130,7 +130,7 @@ class _Tree:
 
     def nearest(self, points: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The node nearest to each point ``(K, n)``, and its distance."""
-        # That with the least |p|^2 - 2 x . p: one product of matrices, in a fifth of the time of all distances.
+        # The nearest node p has the least |p|^2 - 2 x . p: one matrix product, in a fifth of the time of all distances.
         lifted = np.ones((len(points), len(self._planes)))
         lifted[:, :-1] = points
         nodes = (lifted @ self._planes[:, : len(self)]).argmin(axis=1)

@@ -1,7 +1,7 @@
 """Controllers, which drive the arm along a reference.
 
-A controller may change the simulated plant, since it may need other actuators than the arm's model has. It knows the
-dynamics of the arm's model; the plant may have other masses.
+A controller may change the simulated plant, since it may need other actuators than those of the arm's model. It knows
+the dynamics of the arm's model; the plant may have other masses.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Controller(ABC):
 
     Attributes:
         add_bodies: a method that adds the bodies that the controller needs to a copy of the arm's spec; None for none.
-        changes_plant: whether `equip` changes the plant, which is otherwise the arm's model itself where nothing else
-            changes it: to copy large meshes takes as long as to simulate seconds.
+        changes_plant: whether `equip` changes the plant. If nothing does, the plant is the arm's model itself: copying
+            large meshes takes as long as simulating seconds.
         channel_units: see `ChannelSource`.
     """
 
@@ -50,7 +50,7 @@ class Controller(ABC):
         """Give the compiled plant the actuators that the controller needs."""
 
     def own_controls(self, controls: Floats, qpos: Floats, qvel: Floats) -> Floats:
-        """Controls ``(K, nu)`` of the arm's own actuators that exert what those of the plant do, for a rollout."""
+        """Controls ``(K, nu)`` with which the arm's own actuators exert the forces of the plant's, for a rollout."""
         return controls
 
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:
@@ -66,8 +66,7 @@ class Controller(ABC):
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """Set the controls of a step.
 
-        It is called before the step: time, qpos and qvel in ``data`` are those of this step, derived values of the
-        last.
+        It is called before the step: time, qpos and qvel in ``data`` are of this step, derived values of the last.
         """
 
     def sample(self, data: mujoco.MjData) -> Floats:
@@ -126,8 +125,8 @@ class PositionServo(FeedforwardServo):
     A position actuator exerts kp (ctrl - q) - kv qd, so without the second term it would lag a moving reference by
     kv / kp seconds. The joint damping of the model is compensated in the same way. The velocity is that of the next
     step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
-    for this package, and with a payload, the load at rest at q_ref, of gravity and springs, is fed forward as well, or
-    the arm would sag.
+    for this package, and with a payload, the load of gravity and springs at q_ref is fed forward, too, or the arm would
+    sag.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -200,7 +199,7 @@ class ComputedTorque(DriveController):
         return self._actuators.own_controls(controls, qpos, qvel)
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
-        """Wanted positions, velocities and accelerations at some steps."""
+        """Desired positions, velocities and accelerations at some steps."""
         rows = self._reference.row(np.array(steps))
         # Tuples are faster to unpack than arrays.
         return list(zip(self._reference.qpos[rows], *self._reference.rates_at(rows), strict=True))
@@ -232,7 +231,7 @@ class _InverseDynamics:
         self.model = copy.deepcopy(arm.model)
         self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
         if arm.qpos_home is not None:
-            # Nobody knows how what touches the hand accelerates.
+            # The acceleration of what touches the hand is not known.
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data = mujoco.MjData(self.model)
         self.qpos, self.velocity, self.acceleration = self._data.qpos, self._data.qvel, self._data.qacc

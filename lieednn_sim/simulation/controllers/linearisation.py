@@ -1,4 +1,4 @@
-"""Feedback linearisation through the actuators that a model has, whatever else moves in it, also by closed loops."""
+"""Feedback linearisation by a model's own actuators, whatever else moves in it, and also through closed loops."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class FeedbackLinearisation(Controller):
     """Forces B^T (M a + bias - passive) by the arm's own actuators, within their limits.
 
     B has the velocities of the model's dofs at unit rates of the arm's coordinates. Position servos add their own
-    feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. Elsewhere
-    a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Where no actuator is, forces are applied to the
-    joints, without a limit. All other actuators keep their controls. The controller knows the arm and what is attached
-    to it, but neither contacts nor what the hand holds, nor other masses of the plant. Raises as `Actuators`.
+    feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. For other
+    actuators a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Joints without an actuator get
+    applied forces, without a limit. All other actuators keep their controls. The controller knows the arm and what is
+    attached to it, but not contacts, what the hand holds, or other masses of the plant. Raises as `Actuators`.
     """
 
     changes_plant = False
@@ -43,7 +43,7 @@ class FeedbackLinearisation(Controller):
         frequency, rates = np.where(actuators.servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
         space = arm.space
         self._mine, self._dofs = np.asarray(basis.any(axis=1), dtype=float), space.rate_addresses
-        # Of hinges and slides the errors of positions are differences; of balls MuJoCo finds them.
+        # Position errors of hinges and slides are differences; for ball joints MuJoCo computes them.
         self._places = None if len(space.balls) else space.addresses
         feedback = np.concatenate([basis * frequency**2 @ rates, basis * 2.0 * frequency @ rates], axis=1)
         self._feedback = feedback[:, np.concatenate([self._dofs, arm.model.nv + self._dofs])]
@@ -51,7 +51,7 @@ class FeedbackLinearisation(Controller):
         self._error, self._off, self._slow = np.zeros(arm.model.nv), *np.split(self._lag, 2)
         self._driving = np.flatnonzero(actuators.driving)
         self._exert = actuators.allocation[self._driving] / actuators.gain[self._driving, None]
-        # What direct drives exert of their own at the measured state is made up for; servos shall exert it.
+        # The bias forces of direct drives at the measured state are compensated; those of servos are wanted.
         direct = actuators.driving & ~actuators.servos
         self._against = bool(actuators.bias[:2, direct].any())
         self._direct = direct[self._driving]
@@ -70,7 +70,7 @@ class FeedbackLinearisation(Controller):
         self._data: mujoco.MjData | None = None
 
     def equip(self, plant: mujoco.MjModel) -> None:
-        """See `Controller`: nothing is changed, but the plant's dynamics are taken where they are those of the arm."""
+        """See `Controller`; changes nothing, but notes whether the plant's dynamics are those of the arm."""
         same = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_gravcomp")
         known = all(np.array_equal(getattr(plant, name), getattr(self._model, name)) for name in same)
         self._plant = plant if known else None
@@ -129,13 +129,13 @@ class FeedbackLinearisation(Controller):
 
     @cached_property
     def _own(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """The dynamics that the controller knows, without contacts and constraints, if it cannot take the plant's."""
+        """The dynamics that the controller knows, without contacts and constraints, if it cannot use the plant's."""
         model = copy.deepcopy(self._model)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
         return model, mujoco.MjData(model)
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
-        """Wanted positions, velocities and accelerations at some steps, and the controls of servos without forces."""
+        """Desired positions, velocities and accelerations at some steps, and controls of servos that exert no force."""
         reference, actuators = self._reference, self._actuators
         rows = reference.row(np.array(steps))
         following = np.minimum(rows + 1, reference.known - 1)
@@ -151,9 +151,9 @@ class LoopLinearisation(Controller):
     """Actuator forces f of least norm with T^T f = B^T (M a + bias - passive), T = moment B, within their limits.
 
     B(q) has the velocities of the model's dofs at unit rates of the coordinates, those of loops by the equalities'
-    Jacobian at the measured state, so forces of the loops do no work. Position servos hold the lengths that their
-    joints have along the reference, and a is the reference's acceleration; where no servo acts on a coordinate,
-    2 w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz. Raises as `Actuators`.
+    Jacobian at the measured state; so the loops' constraint forces do no work. Position servos hold the lengths that
+    their joints have along the reference, and a is the reference's acceleration; where no servo acts on a coordinate, 2
+    w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz. Raises as `Actuators`.
     """
 
     changes_plant = False
@@ -189,7 +189,7 @@ class LoopLinearisation(Controller):
         load = self._load + own.qfrc_bias - own.qfrc_passive - np.where(self._compensated, own.qfrc_gravcomp, 0.0)
         transmission = actuators.moment @ basis
         forces, _ = least_squares(transmission.T, load @ basis)
-        # Servos are told the reference's lengths, so that they feed back; the others exert their forces alone.
+        # Servos get controls for the reference's lengths, so that they feed back; the others only exert their forces.
         held = actuators.affine_controls(reference.qpos[now], reference.qvel[after], forces)
         direct = actuators.affine_controls(own.qpos, own.qvel, forces)
         controls = np.where(actuators.servos, held, direct)

@@ -24,8 +24,8 @@ class MocapWelds(Controller):
     """Mocap bodies at the reference's link frames, welded to those of the arm; the actuators are idle.
 
     The reference's poses are those of joint positions, so the joints can meet them. A mocap body has no velocity, and a
-    weld with time constant T and damping ratio zeta follows it with a delay of 2 T zeta^2, by which the bodies run
-    ahead. There is no joint feedback, and hence no sensor noise.
+    weld with time constant T and damping ratio zeta follows it with a delay of 2 T zeta^2; so the bodies run ahead by
+    this time. There is no joint feedback, and hence no sensor noise.
 
     Logged channels: ``weld_force`` and ``weld_torque`` ``(K, N)``, between each link and its mocap body.
     """
@@ -80,7 +80,7 @@ class MocapWelds(Controller):
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""
         poses = np.tile(self._rest, (len(steps), 1, 1))
-        # In parts, since poses of all bodies are computed.
+        # In parts, to save memory, since poses of all bodies are computed.
         for begin in range(0, len(steps), AHEAD):
             some = slice(begin, begin + AHEAD)
             poses[some, self._ids] = self.mocap_poses(steps[some])
@@ -93,7 +93,7 @@ class MocapWelds(Controller):
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """Constraint forces ``(6 N,)`` of the welds' rows in MuJoCo's solver."""
-        # Equalities are the first constraints, those of the welds the last of them, which nothing switches off.
+        # Equalities come first among the constraints, and the welds, which nothing switches off, are the last of them.
         return data.efc_force[data.ne - 6 * len(self._ids) : data.ne].copy()
 
     def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
@@ -105,7 +105,7 @@ class MocapWelds(Controller):
 
 
 class DeadbeatWelds(MocapWelds):
-    """As `MocapWelds`, with welds that reach their mocap bodies within one step.
+    """`MocapWelds` whose welds reach their mocap bodies within one step.
 
     With solref (2 h, 1/2) a weld's reference acceleration at the distance r is -r/h^2 - v/h, so the step
     v' = v + h a = -r/h ends at the body, which is where the reference will be one step later. Jumps of the bodies are

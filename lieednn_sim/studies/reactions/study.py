@@ -57,7 +57,7 @@ COMPARED: dict[str, ComparedPolicy] = {
     "tracker": ComparedPolicy("tracker", filtered=False),
 }
 DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
-_DURATION = 7.0  # that is simulated [s]
+_DURATION = 7.0  # of a simulation [s]
 
 
 @dataclass(frozen=True, slots=True)

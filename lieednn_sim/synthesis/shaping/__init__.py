@@ -1,1 +1,1 @@
-"""Shaping: certified networks whose transient follows a given curve, stored in the weights or in the start."""
+"""Shaping: certified networks whose transient follows a given curve, stored in their weights or initial state."""

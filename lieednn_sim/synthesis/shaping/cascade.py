@@ -1,12 +1,12 @@
-"""The cascade: clock, soft switches and filter in closed form, and the certified network of its parameters.
+"""The cascade of clock, soft switches and filter in closed form, and the certified network with its parameters.
 
 With gamma = mu = 1 the hidden neurons are h_n = a_n + c_n g, where g falls from 1 to 0, and the visible ones are their
 outputs phi(h_n) through the filter Q = 1 / (1 + d/dt) from rest (`docs/mathematics/shaped.md`). For rho < 1 a clock
 drives the hidden neurons with (1 - rho) phi(p), so that they follow it exactly. As g does not depend on the parameters,
 Q is one matrix, and no differential equation is solved when they change.
 
-Pairs of opposite switches, phi(a + c g) and phi(-a - c g), bend a motion by their starts, for rho = 1, and are silent
-otherwise (`docs/mathematics/families.md`).
+For rho = 1, pairs of opposite switches, phi(a + c g) and phi(-a - c g), bend a motion if their starts are shifted, and
+cancel otherwise (`docs/mathematics/families.md`).
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from lieednn_sim.values import Floats, frozen
 # State of the clock at time 0: below this the activation is nearly linear, above it the clock starts slowly.
 CLOCK_START = 0.5
 # For rho = 1, hidden and visible neurons decay at one rate, and x - x_d ends as e^-t (A + B t), which overshoots beyond
-# t = -A/B. B is penalised with this weight: the last row of states has an error of `TAIL` B.
+# t = -A/B. B is penalised with this weight: the last row of the states has an error of `TAIL` B.
 TAIL = 0.05
-# Most that g falls, and that time passes, within one piece of time: ripples between switches are short.
+# Largest fall of g, and longest time, within one piece of time: ripples between switches are short.
 _MAX_CLOCK_STEP, _MAX_TIME_STEP = 1.0 / 120.0, 0.25
 PAIRS = 24  # number of pairs of each visible neuron of a family
-LARGEST_CODE = 0.05  # largest entry of a code, at which the cubic term is a thousandth of the bump
+LARGEST_CODE = 0.05  # largest entry of a code: its cubic term is then a thousandth of the bump
 
 
 @frozen
@@ -105,7 +105,7 @@ class Cascade:
         return self.free + read.reshape(self.free.shape)
 
 
-_MOST_ADDED = 0.02  # most that a layer's input from the next one may add to lambda_max, in S-scaled weights
+_MOST_ADDED = 0.02  # what a layer's input from the next one may add to lambda_max at most, in S-scaled weights
 _UNIT = np.eye(3)[0]
 
 
@@ -113,9 +113,9 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
     """The network of a cascade to ``target`` ``(N, 6)``, with its Lyapunov diagonal in closed form.
 
     Ordered (visible, hidden, clock), W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
-    S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of
-    sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least that comes within `_MOST_ADDED` of it.
-    With a rate rho of 1 there is no clock.
+    S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of sym(S W_R S^-1)
+    can come arbitrarily close to 1 - rho. Each scale is the least with which it comes within `_MOST_ADDED` of it. With
+    a rate rho of 1 there is no clock.
     """
     n, m = parameters.alpha.shape
     clock = 2 if rate < 1.0 else 0
@@ -160,7 +160,7 @@ def turns_to(vectors: Floats) -> Floats:
     """
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     direction = np.where(size > 0.0, vectors / np.maximum(size, 1e-300), _UNIT)
-    # The mirror that swaps e_x and the direction (that of e_z where they agree), after one that leaves e_x alone.
+    # A mirror that swaps e_x and the direction (or that of e_z if they agree), after one that leaves e_x alone.
     normal = direction - _UNIT
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[2])
@@ -170,9 +170,9 @@ def turns_to(vectors: Floats) -> Floats:
 
 def switches(count: int) -> tuple[Floats, Floats]:
     """Equilibria a and slopes c ``(M,)`` of the first switches of ``count`` pairs, at equal steps of the clock."""
-    # A little beyond both ends of the clock, so that its first and last part have as many bumps as its middle.
+    # The range goes beyond both ends of the clock, so that its first and last part have as many bumps as its middle.
     low, high = -0.1, 1.05
-    # Steep bumps ripple, and wide ones, hardly independent, need large codes and so a large D.
+    # Steep bumps ripple; wide ones are hardly independent, so that they need large codes and a large D.
     slope = np.full(count, 0.6 * count / (high - low))
     return -slope * (1.0 - low - (high - low) * (np.arange(count) + 0.5) / count), slope
 
@@ -208,7 +208,7 @@ def with_pairs(
     inputs: Floats,
     others: Floats | None = None,
 ) -> LieEDNN:
-    """A network whose motion depends on its visible start, and its target, with the pairs and gains that this takes.
+    """A network whose motion depends on its visible start, and target, by the pairs and gains that this needs.
 
     Args:
         parameters, clock, network: of the cascade, with rho = 1.
@@ -217,7 +217,7 @@ def with_pairs(
             or in that and in the target, E = 12N.
         inputs: ``(n, E)`` deviations of the start (and of the target) for which codes must be small, so that bumps are
             linear in them.
-        others: other codes D delta ``(..., N, M, 6)`` that must be small.
+        others: further codes D delta ``(..., N, M, 6)`` that must be small.
     """
     n = len(parameters.alpha)
     left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
@@ -237,7 +237,7 @@ def with_pairs(
     )
     result = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
     gain, *rest = np.split(shifts(result, codes).reshape(result.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)
-    # The start is seen from the target, with which its reference moves: K (start - target) + (K + K_target) target.
+    # The start's reference moves with the target: K start + L target = K (start - target) + (K + L) target.
     return result.with_start(result.hidden_start, gain, start, gain + rest[0] if rest else None)
 
 
@@ -245,7 +245,7 @@ def shifts(network: LieEDNN, codes: Floats) -> Floats:
     """Shifts of the hidden starts ``(H, 6, ...)`` of a network with pairs by codes D delta ``(N, M, 6, ...)``."""
     n, count = codes.shape[:2]
     shift = np.zeros((network.n_hidden, 6, *codes.shape[3:]))
-    # Both of a pair are shifted by the same; they are the last hidden neurons, and D is the strength of each.
+    # Both neurons of a pair have the same shift; pairs are the last hidden neurons, and D is the strength of each.
     shift[-2 * n * count :].reshape(n, 2, count, *codes.shape[2:])[:] = codes[:, None] / network.alpha[n - 1, -1]
     return shift
 

@@ -11,7 +11,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-_ROWS = 2048  # rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across
+_ROWS = 2048  # rows of a table: it resolves a curve of two metres to a millimetre along it, and to micrometres across
 _REACH = 64  # longest Newton step to a foot point, in rows
 
 

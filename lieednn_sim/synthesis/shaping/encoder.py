@@ -1,9 +1,9 @@
-"""A universal network: its weights are fixed and certified once, and the hidden neurons' start encodes any curve.
+"""A universal network: its weights are fixed and certified once, and its hidden neurons' start encodes any curve.
 
 Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`cascade`) and nothing else. From a code of zero it
-goes straight to the target. `docs/mathematics/families.md` has its path x(g) with the input u(s), g = e^-t, which is
-odd in the code, and nearly linear while codes are small. So encoding is one linear least-squares problem, solved
-beforehand for all curves: a product of matrices remains.
+goes straight to the target. `docs/mathematics/families.md` derives its path x(g), g = e^-t, from the input u(s), which
+is odd in the code, and nearly linear while codes are small. So encoding is one linear least-squares problem, solved
+beforehand for all curves: only a product of matrices remains.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from lieednn_sim.values import Floats, frozen
 CODE_PAIRS = 48  # pairs for each visible neuron
 _MOST_VISIBLE = 16  # largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB
 STRENGTH = 80.0  # D, by default; codes of the package's arms reach about a third of `LARGEST_CODE`
-# Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
+# Instants of the fit and of the path in closed form: so many even steps of g, then steps by this ratio, down to this g.
 _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
 _STRIDE = 3  # every third instant is one of the fit
 # Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
 _RIPPLE, _LEAST_RIPPLING = 0.02, 0.01
-# A turn of the tangent by one radian takes as much of the clock as this fraction of the length, smoothed over the
-# second; looked at on this many pieces.
+# A turn of the tangent by one radian takes as much of the clock as this fraction of the length; turns are smoothed over
+# the second fraction, and computed on so many pieces.
 _CLOCK_PER_TURN, _SMOOTHING, _PIECES = 0.2, 0.02, 256
 _POWERS = np.array([1, 3, 5])  # powers of a code in its bump; the next one is below rounding
 
@@ -41,13 +41,13 @@ _POWERS = np.array([1, 3, 5])  # powers of a code in its bump; the next one is b
 class CurveEncoder:
     """One certified network for every curve of an arm, which encodes a curve as its hidden neurons' initial state.
 
-    This universal network depends on the arguments alone. It is made and certified once for each in a process, and all
-    encoders share it.
+    This universal network depends on the arguments alone. It is made and certified once in a process, and shared by all
+    encoders with equal arguments.
 
     Args:
         n_visible: number N of visible neurons, at most 16.
         activation: a name of `ACTIVATIONS`.
-        strength: D; with more of it, longer and more sharply bent curves have codes.
+        strength: D; with a larger one, longer and more sharply bent curves have codes.
 
     Attributes:
         network: the certified `LieEDNN` with code zero and target zero: N visible neurons and M = 2 N `CODE_PAIRS`
@@ -69,7 +69,7 @@ class CurveEncoder:
         """The universal network with the code and the target of a curve.
 
         Args:
-            curve: samples ``(K, N, 6)`` from start to target; where it is matters, not when.
+            curve: samples ``(K, N, 6)`` from start to target; only their places matter, not their times.
             units: metres that one unit of each coordinate counts for in the curve's length, of a shape that broadcasts
                 to ``(N, 6)``.
 
@@ -120,9 +120,9 @@ class CurveEncoder:
             states: ``(L, N, 6)`` visible states at the `levels`.
             start: ``(N, 6)`` visible state at the beginning.
             target: ``(N, 6)`` visible equilibrium.
-            rate: ``(N, 6)`` dx/dt at the beginning, which the network has up to terms of third order in the code.
-            bend: ``(N, 6)`` its derivative there, likewise.
-            most: how far the code's states may be from the given ones, in any coordinate.
+            rate: ``(N, 6)`` dx/dt at the beginning, which the network meets up to terms of third order in the code.
+            bend: ``(N, 6)`` the derivative of dx/dt there, likewise.
+            most: largest difference of the code's states from the given ones, in any coordinate, that is accepted.
 
         Raises:
             InputError: the code exceeds `LARGEST_CODE`, or its states are further off.
@@ -140,7 +140,7 @@ class CurveEncoder:
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
 
-        It ends where e^-t is 5e-10. A test integrates the network for comparison.
+        It ends where e^-t is 5e-10.
 
         Args:
             network: the universal network with any code and target.
@@ -186,11 +186,11 @@ class _Basis:
     bent: Floats  # (2, K, 3 pairs) displacements and inputs u at the instants, for each of `_POWERS` of the code
     fitted: Floats  # (F,) g at the instants of the fit
     solution: Floats  # (pairs, F) from a displacement there to the code
-    levels: Floats  # (L,) those of them that are enough for a motion
+    levels: Floats  # (L,) the values of g among these that suffice for a motion
     of_levels: Floats  # (pairs, L) from a displacement at these, cubic splines in between, to the code
     at_levels: Floats  # (L, pairs) displacements there of unit codes
     start: Floats  # (2, pairs) the input u and its derivative in time at the beginning, of unit codes
-    starting: Floats  # (pairs, 2) codes of unit u and u' there that change the rest of the motion least
+    starting: Floats  # (pairs, 2) codes of unit u and u' at the beginning that change the rest of the motion least
 
 
 @lru_cache(maxsize=8)
@@ -216,7 +216,7 @@ def _basis(activation: str, strength: float) -> _Basis:
         return np.tensordot(of_values, values, 1) * (g ** _POWERS[:, None])[..., None]
 
     first = np.linspace(1.0, 1.0 / _STEPS, _STEPS)
-    # The first geometric steps may not be longer than the even ones.
+    # The first geometric steps must not be longer than the even ones.
     even = first[first > 1.0 / (_STEPS * (1.0 - _RATIO))]
     count = int(np.ceil(np.log(_LEAST_CLOCK / even[-1]) / np.log(_RATIO)))
     g = np.append(even, even[-1] * (_LEAST_CLOCK / even[-1]) ** (np.arange(1.0, count + 1.0) / count))
@@ -240,10 +240,10 @@ def _basis(activation: str, strength: float) -> _Basis:
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
     slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
     steeper = ACTIVATIONS[activation].bend(a + c)
-    # Of u = 2 D delta g phi'(a + c g), with g' = -g.
+    # The values and time derivatives of u = 2 D delta g phi'(a + c g) at g = 1, with g' = -g.
     start = 2.0 * strength * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T
-    # Every second even one, and all later ones.
+    # Every second one of the even instants, and all later ones.
     levels = np.append(g[looks[:used:2]], g[looks[used:]])
     of_levels = solution @ CubicSpline(-levels, np.eye(len(levels)))(-g[looks])
     bent = np.stack([shifts, inputs(g)]).transpose(0, 2, 1, 3).reshape(2, len(g), -1)

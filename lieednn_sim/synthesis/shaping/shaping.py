@@ -2,8 +2,8 @@
 
 The network is a cascade: hidden neurons switch one after another as they come to rest, and steer the visible ones
 (`cascade`). Its equilibrium and its certificate hold by construction for all parameters, so the fit is unconstrained;
-it may miss the curve, and the result says by how much. `docs/mathematics/shaped.md` says how it is fitted: switches
-are placed along the curve first, each of them a turn or a shift, so that linear least squares remain.
+it may miss the curve, and the result says by how much. `docs/mathematics/shaped.md` explains the fit: switches are
+placed along the curve first, each of them a turn or a shift, so that linear least squares remain.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SAMPLES = 1000  # samples at which deviations between the network's path and th
 _PIECES, _SMOOTHING = 512, 0.01
 # Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
-_LEAST_DENSITY = 0.1  # the density of switches is the root of the curve's second derivative plus this much everywhere
+_LEAST_DENSITY = 0.1  # the density of switches is the root of the curve's second derivative plus this part everywhere
 _RIPPLE = 0.03  # ripples shorter than 2 pi times this fraction of the clock count more than deviations
 # Number of instants at which ripples are penalised, nearly even down to where g is this small.
 _INSTANTS, _LEAST_CLOCK = 120, 0.01
@@ -41,9 +41,9 @@ class ShapingOptions:
     """Options of `shape`.
 
     Attributes:
-        rate: rho in (0, 1], the rate at which the hidden neurons' clock runs down. With 1 it is as fast as the
-            visible neurons, which return to the target after a push. With less they return to the path after a push,
-            1/rho times as fast as they move along it.
+        rate: rho in (0, 1], the rate at which the hidden neurons' clock runs down. With 1 it is as fast as the visible
+            neurons, which go to the target after a push. With less, they return to the path after a push, 1/rho times
+            as fast as they move along it.
         neurons: numbers of hidden neurons besides the clock, tried in turn.
         activation: a name of `network.ACTIVATIONS`.
 
@@ -76,7 +76,7 @@ class Shaping:
         network: the best network found; always certified.
         parameters: parameters of its cascade.
         deviation: largest distance of a point of the network's path from the curve, or of the curve from the path [m].
-        options: those of the search, with the one number of neurons that was chosen.
+        options: the options of the search, with the number of neurons that was chosen.
         cpu_time: CPU time of the search [s].
     """
 
@@ -155,7 +155,7 @@ def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> 
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
     network_time = 16.0  # network time, times rho, after which less than a micrometre of a path of a metre is left
     trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
-    t = trajectory.t[-1] * np.linspace(0.0, 1.0, 4000) ** 3  # closer together at first, where it is fast
+    t = trajectory.t[-1] * np.linspace(0.0, 1.0, 4000) ** 3  # denser at first, where the motion is fast
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     off, back = (_distances(item.at(fractions)[0], other, fractions) for item, other in ((path, curve), (curve, path)))
@@ -175,11 +175,11 @@ def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
     goal, _ = curve.at(pace(w))
     # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
-    # Nearly even, so that no difference is dominated by close instants.
+    # Nearly even instants, so that close ones dominate no difference.
     looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)).argmin(axis=0))
     ripples = third_derivative(w[looks])
     a, c, read = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 3))
-    # Equally many turns and shifts where the curve has both.
+    # Equal numbers of turns and shifts if the curve has both.
     halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
     for half, chosen in zip(halves, np.array_split(np.arange(m), len(halves)), strict=True):
         place, slope = _switches(curve, pace, half, len(chosen))
@@ -213,5 +213,5 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
-    # Each as steep as switches are dense, and no less steep than 1: without overlap the path would ripple.
+    # Slopes follow the density of switches, and are at least 1: without overlap the path would ripple.
     return edges[1::2], np.clip(1.0 / (edges[2::2] - edges[:-2:2]), 1.0, LARGEST_SLOPE)
