@@ -56,7 +56,7 @@ class Viewpoint:
 
 
 def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera, points: Floats) -> Viewpoint:
-    """The viewpoint of a camera of MuJoCo; its middle is as far away as the centre of the points ``(P, 3)``."""
+    """The viewpoint of a camera of MuJoCo; its middle is as far away as the mean of the points ``(P, 3)``."""
     scene = mujoco.MjvScene(model, maxgeom=1)  # no geoms are asked for, only the camera's pose and frustum
     mujoco.mj_camlight(model, data)
     mujoco.mjv_updateCamera(model, data, camera, scene)
