@@ -5,9 +5,8 @@
     with reporting(print):
         ...  # work inside whose total amount is known calls `report`
 
-The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
-no other thread works for it. Only whether that error is raised depends on the clock: work that ends within its budget
-has the same result as without a budget.
+The CPU time is that of the calling thread, so that other load on the machine does not count; in `one_blas_thread` it is
+all that the work takes. Only that error depends on the clock: within its budget, work has the same result as without.
 """
 
 from __future__ import annotations

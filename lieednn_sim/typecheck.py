@@ -57,8 +57,7 @@ def typecheck_public(namespace: dict[str, Any]) -> None:
 
     The namespace is the module's ``globals()``. The public names are those of its ``__all__``; without one, as in the
     ``__init__`` of a subpackage, all names that it imports, and ``__all__`` is set to them. Functions are replaced in
-    the namespace, and belong to this module from then on, so that pickle finds them; methods are replaced in their
-    classes.
+    the namespace, and get this module as theirs, where pickle finds them; methods are replaced in their classes.
     """
     imported = [name for name, value in namespace.items() if not (name.startswith("_") or inspect.ismodule(value))]
     for name in namespace.setdefault("__all__", sorted({*imported} - {typecheck_public.__name__})):

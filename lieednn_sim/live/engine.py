@@ -1,7 +1,6 @@
 """The closed loop of a live view, whose policy, plant and pushes may change while it runs; without threads or requests.
 
-Workers of the session make its policies by the functions here, which also find what is proved about a policy, and the
-path ahead.
+Workers of the session call the functions here to make its policies, and to find their proofs and the path ahead.
 """
 
 from __future__ import annotations

@@ -84,8 +84,7 @@ def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
-    and ``detail`` says why. If unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW; last
-    ``disable``.
+    and ``detail`` says why. If unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW, and then none.
     """
     try:
         inherited = Backend(**json.loads(os.environ[_INHERITED]))

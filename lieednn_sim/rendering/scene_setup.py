@@ -53,9 +53,8 @@ def load_path(run: Rollout) -> Floats:
 def occupied(run: Rollout) -> Floats:
     """Points ``(P, 3)`` that a picture must contain: the base, the target, and all places that the arm passes.
 
-    These are corners of boxes around the geoms that move by more than a millimetre, which may be more than the arm in
-    the model of a view, and around those of the bodies that carry the end effector; and the corners of other geoms near
-    them, clipped to the region around the former.
+    These are corners of boxes around the geoms that carry the end effector or move by more than a millimetre, which in
+    a view may be more than the arm; and corners around other geoms near these, clipped to the region of the former.
     """
     arm, model = run.arm, run.arm.model
     data, results = mujoco.MjData(model), []
