@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import ContactFinder, ContactOffsets, geom_name, move_bodies, moving_geoms
+from lieednn_sim.arm.contacts import (
+    ContactFinder,
+    ContactOffsets,
+    colliding_pairs,
+    geom_name,
+    move_bodies,
+    moving_geoms,
+)
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
@@ -55,7 +62,7 @@ class Collisions:
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
-        self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), _colliding_pairs(arm.geometry)
+        self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), colliding_pairs(arm.geometry)
         self._offset = self.offsets(self.pairs)
         self._data = mujoco.MjData(arm.geometry)
         # The original model, kept once obstacles have moved.
@@ -304,27 +311,6 @@ class ContactSlopes(ContactFinder):
         index, distance = np.repeat(np.array(at, dtype=int), list(map(len, rows))), np.concatenate(distances)
         near = (distance := distance[np.concatenate(kept)]) < self._margin
         return index[near], distance[near], slopes[near]
-
-
-def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
-    """Geom pairs ``(P, 2)`` that pass MuJoCo's collision filter, and the explicit ones."""
-    first, second = np.triu_indices(model.ngeom, k=1)
-    kind, affinity = model.geom_contype, model.geom_conaffinity
-    meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
-    first, second = first[meets], second[meets]
-    bodies, weld = model.geom_bodyid[[first, second]], model.body_weldid
-    one, other = weld[bodies]
-    apart = one != other
-    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
-        parent = weld[model.body_parentid[weld]]
-        apart &= ((one != parent[other]) & (other != parent[one])) | (one == 0) | (other == 0)
-    apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
-    implicit = np.stack([first[apart], second[apart]], axis=1)
-    explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
-    numbers = np.sort(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
-    pairs = np.stack(np.divmod(numbers[np.diff(numbers, prepend=-1) > 0], model.ngeom), axis=1)
-    pairs.setflags(write=False)
-    return pairs
 
 
 typecheck_public(globals())
