@@ -1,7 +1,7 @@
 """The reactive benchmark: each policy on an arm in a scene, under each disturbance, and its summary.
 
 Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric, the path integral and
-the network that plans again avoid obstacles themselves, and the tracker plays a motion that does.
+the replanning network avoid obstacles themselves, and the tracker plays a motion that avoids them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Reaction(TableRow):
         policy, disturbance: names of `COMPARED` and of `DISTURBANCES`.
         seed: seed of target, obstacles and disturbance.
         success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
-        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
+        reason: why the rollout failed; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
     """
 
     _key = ("arm", "scene", "policy", "disturbance", "seed")
@@ -100,7 +100,7 @@ class Reaction(TableRow):
 
 
 MEASURED = columns_of(Reaction)
-_DURATION = 7.0  # of a simulation [s]
+_DURATION = 7.0  # duration of a simulation [s]
 
 
 @frozen
@@ -195,7 +195,7 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
 
 
 def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin: float) -> Reaction:
-    """The row of a run in which a pole walks into the way; up to then it is the undisturbed one."""
+    """The row of a run in which a pole walks into the arm's way; until then the run is the undisturbed one."""
     kind, ran = "obstacle", nominal.rollout
     rng = np.random.default_rng([task.seed, DISTURBANCES.index(kind)])
     step = "problem"
@@ -212,7 +212,7 @@ def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin
 def _disturbed(
     task: Task, policy: Policy, disturbance: str, begin: float, path: UndisturbedPath
 ) -> tuple[Floats, Disturbances | None, float]:
-    """Targets, disturbances, and the time at which they are over [s]."""
+    """Targets, disturbances, and the time at which the disturbances end [s]."""
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
     if disturbance == "push":
         link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
@@ -230,7 +230,7 @@ def _disturbed(
     if disturbance == "payload":
         push = Push("end effector", (0.0, 0.0, -10.0), begin, _DURATION)
         return task.target, Disturbances(pushes=(push,)), begin
-    # As far from the limits as other random targets, since the safety filter stops short of limits.
+    # Targets keep the distance from limits that other random targets have: the safety filter stops before limits.
     inset = LIMIT_MARGIN * arm.ranges[:, None] * [1.0, -1.0]
     inner = replace(arm, position_limits=arm.position_limits + inset)
     moved = task.target
