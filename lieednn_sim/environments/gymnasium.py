@@ -201,7 +201,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         except ValueError:
             mask = np.empty(0)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
+            raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, at least one of them true")
         which = np.flatnonzero(mask)
         for i in which:
             if (own := seed[i]) is not None:

@@ -39,7 +39,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     for name, rollout in rollouts.items():
         if len(rollout.arm.space.balls):
             arm = rollout.arm.name
-            raise InputError(f"arm {arm!r} has ball joints; a JointTrajectory holds hinges and slides alone")
+            raise InputError(f"arm {arm!r} has ball joints; a JointTrajectory holds only hinges and slides")
         trajectory, rows, joints = _trajectory(rollout, rate), samples(rollout, rate), list(rollout.arm.joint_names)
         with (folder / f"{name}.yaml").open("w", encoding="utf-8") as stream:
             message = asdict(trajectory, dict_factory=lambda items: {k: v for k, v in items if k != "__msgtype__"})

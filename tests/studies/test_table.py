@@ -87,7 +87,7 @@ def test_other_settings_and_versions_are_refused(table, tmp_path):
     change(table, """UPDATE about SET value = '{"numpy": "1.0"}' WHERE name = 'versions'""")
     with pytest.raises(FileError, match=r"made with numpy 1.0, now .*; lieednn_sim None, now|lieednn_sim None, now"):
         begin(tmp_path)
-    with pytest.raises(InputError, match="must hold what JSON can"):
+    with pytest.raises(InputError, match="must hold values that JSON can hold"):
         begin(tmp_path, {"a": object()})
 
 
@@ -111,7 +111,7 @@ def test_files_of_another_arm_by_the_same_name_are_refused(tmp_path):
         (["DELETE FROM about"], "does not tell how it was made"),
         (["UPDATE about SET value = '[3]'"], "does not tell how it was made"),
         (["UPDATE about SET value = '3'"], "does not tell how it was made"),
-        (["INSERT INTO about VALUES ('much', printf('%.*c', 2000000, 'x'))"], "at most 1000000 bytes of a value are"),
+        (["INSERT INTO about VALUES ('much', printf('%.*c', 2000000, 'x'))"], "at most 1000000 bytes per value"),
     ],
 )
 def test_tables_of_others_are_refused(table, tmp_path, statements, message):

@@ -78,7 +78,7 @@ def view(table: Table[Row], cases: Sequence[Case], controller: str) -> View:
     rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
     result = tuple(row for row in rows if row is not None)
     if len(result) < len(rows) or len({(row.arm, row.scene, row.seed) for row in result}) != 1:
-        raise InputError("a view is of one problem that the table has, by one planner or more")
+        raise InputError("a view needs cases of one problem, all of them in the table")
     settings = settings_of(table)
     rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
     return View(result, record(rollouts, [case.planner for case in cases]))
