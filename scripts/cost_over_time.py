@@ -31,7 +31,7 @@ from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.studies.comparison.study import arm_and_target
+from lieednn_sim.studies.comparison.case import arm_and_target
 
 SCENE, FIRST_SEED = "poles", 2000
 _CHECKS = "max_collision_checks"

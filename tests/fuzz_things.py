@@ -27,7 +27,7 @@ from lieednn_sim import (
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.learning import demonstrations
-from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.simulation.tracking import as_reference
 
 # Calls change these: a new one is made for each.

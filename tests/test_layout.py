@@ -21,6 +21,7 @@ GROUND = (
     "versions",
     "io",
     "budget",
+    "entries",
     "registry",
     "_mujoco",
     "_processes",

@@ -13,8 +13,8 @@ import lieednn_sim as ls
 from lieednn_sim._mujoco import scratch_data
 from lieednn_sim.errors import PlanError, SimulationError
 from lieednn_sim.planning.tube import find_tube
+from lieednn_sim.studies.comparison.case import Settings, run_case
 from lieednn_sim.studies.comparison.rows import Case
-from lieednn_sim.studies.comparison.study import Settings, run_case
 
 # Where a straight motion from home would touch a pole.
 BEHIND = np.array([1.829, 0.041, 0.613, 0.043, -0.731, 0.082, 0.008, 0.103])

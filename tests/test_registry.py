@@ -8,8 +8,9 @@ import sys
 import pytest
 
 from lieednn_sim import registry
+from lieednn_sim.entries import LIBRARIES, Entry, Registry
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.registry import FORMATS, LIBRARIES, PLANNERS, SCENES, Entry, Registry
+from lieednn_sim.registry import FORMATS, PLANNERS, SCENES
 
 ALL = [value for value in vars(registry).values() if isinstance(value, Registry)]
 

@@ -12,7 +12,8 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from lieednn_sim import registry
-from lieednn_sim.cli.parser import descriptions, find, parameters
+from lieednn_sim.cli.signatures import descriptions, find, parameters
+from lieednn_sim.entries import LIBRARIES
 from lieednn_sim.studies.comparison.rows import COLUMNS
 
 
@@ -49,7 +50,7 @@ class RegistryTable(_Table):
         kind = getattr(registry, self.arguments[0])
         cells = [[kind.kind, "what it is", "extra"]]
         for key, entry in kind.entries.items():
-            extra = f"`{registry.LIBRARIES[entry.library].extra}`" if entry.library else ""
+            extra = f"`{LIBRARIES[entry.library].extra}`" if entry.library else ""
             cells.append([f"`{key}`", entry.help, extra])
         width = 3 if any(entry.library for entry in kind.entries.values()) else 2
         return [line[:width] for line in cells]

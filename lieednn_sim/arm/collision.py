@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import ContactFinder, ContactOffsets, geom_name, move_bodies, moving_geoms
+from lieednn_sim.arm.contacts import (
+    ContactFinder,
+    ContactOffsets,
+    colliding_pairs,
+    geom_name,
+    move_bodies,
+    moving_geoms,
+)
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
@@ -55,7 +62,7 @@ class Collisions:
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
-        self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), _colliding_pairs(arm.geometry)
+        self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), colliding_pairs(arm.geometry)
         self._offset = self.offsets(self.pairs)
         self._data = mujoco.MjData(arm.geometry)
         # The original model, kept once obstacles have moved.
@@ -140,11 +147,20 @@ class Collisions:
         """
         used, first, second, limits = turns[:, self._used], self._first, self._second, cutoff + self._offset
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
+        some, reach = np.arange(len(first)), self._reach
+        if len(center) > 4 and len(first) > 2000:
+            # First drop the pairs that are far apart wherever the geoms are in these configurations.
+            low, high = center.min(axis=0), center.max(axis=0)
+            middle, spread = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
+            far = reach + spread.take(first) + spread.take(second) + limits.reshape(-1, len(first)).max(axis=0)
+            away = middle.take(second, axis=0) - middle.take(first, axis=0)
+            some = (np.vecdot(away, away) < np.square(np.maximum(far, 0.0))).nonzero()[0]
+            first, second, reach, limits = (part.take(some, axis=-1) for part in (first, second, reach, limits))
         # The configurations are the last axis, so that `take` copies whole rows.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
         away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
-        near = (apart < np.square(np.maximum(limits + self._reach, 0.0))).ravel().nonzero()[0]
+        near = (apart < np.square(np.maximum(limits + reach, 0.0))).ravel().nonzero()[0]
         at, index = np.divmod(near, len(first))
         limits = limits.take(near if limits.ndim == 2 else index)
         # First a ball against the other one's box, then both boxes along the normals of their faces; `take` needs a
@@ -166,7 +182,7 @@ class Collisions:
         beyond -= np.matvec(cosines, half)
         back -= np.vecmat(self._half.take(one, axis=0), cosines)
         near = (np.maximum(beyond, back).max(axis=1) < limits + _SLACK).nonzero()[0]
-        at, index, limits, last = at[near], index[near], limits[near], -1
+        at, index, limits, last = at[near], some[index[near]], limits[near], -1
         distance, segments = np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
         for row, (k, pair, limit, segment) in enumerate(rows):
@@ -304,27 +320,6 @@ class ContactSlopes(ContactFinder):
         index, distance = np.repeat(np.array(at, dtype=int), list(map(len, rows))), np.concatenate(distances)
         near = (distance := distance[np.concatenate(kept)]) < self._margin
         return index[near], distance[near], slopes[near]
-
-
-def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
-    """Geom pairs ``(P, 2)`` that pass MuJoCo's collision filter, and the explicit ones."""
-    first, second = np.triu_indices(model.ngeom, k=1)
-    kind, affinity = model.geom_contype, model.geom_conaffinity
-    meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
-    first, second = first[meets], second[meets]
-    bodies, weld = model.geom_bodyid[[first, second]], model.body_weldid
-    one, other = weld[bodies]
-    apart = one != other
-    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
-        parent = weld[model.body_parentid[weld]]
-        apart &= ((one != parent[other]) & (other != parent[one])) | (one == 0) | (other == 0)
-    apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
-    implicit = np.stack([first[apart], second[apart]], axis=1)
-    explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
-    numbers = np.sort(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
-    pairs = np.stack(np.divmod(numbers[np.diff(numbers, prepend=-1) > 0], model.ngeom), axis=1)
-    pairs.setflags(write=False)
-    return pairs
 
 
 typecheck_public(globals())

@@ -176,6 +176,28 @@ def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return colliding
 
 
+def colliding_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
+    """Geom pairs ``(P, 2)`` that pass MuJoCo's collision filter, and the explicit ones."""
+    moves = moving_geoms(model)
+    first, second = np.triu(moves[:, None] | moves, k=1).nonzero()
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
+    first, second = first[meets], second[meets]
+    bodies, weld = model.geom_bodyid[[first, second]], model.body_weldid
+    one, other = weld[bodies]
+    apart = one != other
+    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        parent = weld[model.body_parentid[weld]]
+        apart &= ((one != parent[other]) & (other != parent[one])) | (one == 0) | (other == 0)
+    apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
+    implicit = np.stack([first[apart], second[apart]], axis=1)
+    explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
+    numbers = np.sort(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
+    pairs = np.stack(np.divmod(numbers[np.diff(numbers, prepend=-1) > 0], model.ngeom), axis=1)
+    pairs.setflags(write=False)
+    return pairs
+
+
 def without_clearance(model: mujoco.MjModel) -> str:
     """A warning about colliding geoms from which no clearance can be kept; empty without any."""
     blind = colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF))

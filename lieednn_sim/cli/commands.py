@@ -20,7 +20,8 @@ from lieednn_sim.exports.formats import record
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.rendering import opengl
-from lieednn_sim.rendering.video import check_rate, check_view, render_video
+from lieednn_sim.rendering.camera import check_view
+from lieednn_sim.rendering.video import check_rate, render_video
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path

@@ -16,7 +16,8 @@ from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Row, Table, compute, write_summary
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
-from lieednn_sim.studies.reactions.study import Reactions, write_reactions
+from lieednn_sim.studies.reactions.study import Reactions
+from lieednn_sim.studies.reactions.summary import write_reactions
 from lieednn_sim.studies.report import View, choose_problems, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm
 from lieednn_sim.validation import as_count

@@ -12,8 +12,9 @@ from rich.text import Text
 
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli.console import console
+from lieednn_sim.entries import LIBRARIES, install_command
 from lieednn_sim.errors import FileError
-from lieednn_sim.registry import LIBRARIES, install_command, purpose
+from lieednn_sim.registry import purpose
 from lieednn_sim.rendering import opengl
 from lieednn_sim.versions import installed
 

@@ -28,7 +28,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.environments.observations import Bounds, LinkFrames, Observation, State, Target
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.rendering.video import Camera, check_view
+from lieednn_sim.rendering.camera import Camera, check_view
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers, quoted
 from lieednn_sim.values import Floats, StrPath
@@ -72,7 +72,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of rendered frames, both even, at most 3840x2160.
-        preset: rendering quality, a name of `rendering.video.PRESETS`.
+        preset: rendering quality, a name of `rendering.camera.PRESETS`.
         flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 

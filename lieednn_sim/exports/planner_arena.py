@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.studies.comparison.case import settings_of
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
-from lieednn_sim.studies.comparison.study import Comparison, settings_of
+from lieednn_sim.studies.comparison.study import Comparison
 from lieednn_sim.studies.rows import grouped
 from lieednn_sim.values import StrPath
 

@@ -21,8 +21,8 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering import scene_setup, viser_scene
+from lieednn_sim.rendering.camera import check_camera
 from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_RADIUS
-from lieednn_sim.rendering.video import check_camera
 from lieednn_sim.rendering.viewpoint import Viewpoint, viewpoint
 from lieednn_sim.rendering.viser_scene import Shapes, add_path, segments
 from lieednn_sim.rendering.viser_server import quiet_server

@@ -11,8 +11,8 @@ from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import travelled
+from lieednn_sim.rendering.camera import Camera, Image
 from lieednn_sim.rendering.overlay import Overlay, draw_lines
-from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path

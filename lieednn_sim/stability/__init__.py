@@ -16,6 +16,7 @@ from lieednn_sim.stability.conditions import assess as assess
 from lieednn_sim.stability.contraction import Contraction as Contraction
 from lieednn_sim.stability.contraction import find_contraction as find_contraction
 from lieednn_sim.stability.contraction import verify_contraction as verify_contraction
+from lieednn_sim.stability.guarantees import Guarantee as Guarantee
 from lieednn_sim.stability.norms import LogNorms as LogNorms
 from lieednn_sim.stability.norms import WeightedNorm as WeightedNorm
 from lieednn_sim.stability.norms import log_norms as log_norms
@@ -23,7 +24,6 @@ from lieednn_sim.stability.norms import smallest_one_norm as smallest_one_norm
 from lieednn_sim.stability.norms import weighted_norm as weighted_norm
 from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF as INTEGRATORS_WITH_PROOF
 from lieednn_sim.stability.robustness import Decay as Decay
-from lieednn_sim.stability.robustness import Guarantee as Guarantee
 from lieednn_sim.stability.robustness import Robustness as Robustness
 from lieednn_sim.stability.robustness import robustness as robustness
 from lieednn_sim.typecheck import typecheck_public

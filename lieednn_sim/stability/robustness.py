@@ -2,15 +2,6 @@
 
 A push moves only the coordinates that it reaches through W; the others stay on their course. So everything is proved on
 the submatrix of the coordinates reached; in a cascade, a push on the last layer involves that layer alone.
-
-There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`. One is
-contraction of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4. The
-other, for where contraction is not proved, is about the equilibrium: it uses the certificate's own diagonal P = S^2 and
-the function U = eps |S e|^2 / 2 + V.
-
-The second derivative of U is at most (1 + eps) P. A quadratic form in |y| = |S e| and |g| = |S f|, where f is the
-change of phi that e causes, tells whether U falls in a step h. The mean of the four fields of Runge-Kutta 4 differs
-from the first by at most the fraction z/2 + z^2/6 + z^3/24 of it, with z = h (gamma + mu |S W S^-1|_2).
 """
 
 from __future__ import annotations
@@ -19,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh
 
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.stability.certificate import known_or_found, verify
-from lieednn_sim.stability.contraction import Contraction, find_contraction, norm_at, verify_contraction
-from lieednn_sim.stability.norms import as_weight, scale
+from lieednn_sim.stability.certificate import known_or_found
+from lieednn_sim.stability.contraction import find_contraction
+from lieednn_sim.stability.guarantees import UP, Guarantee, by_contraction, by_lyapunov, spectral_norm
+from lieednn_sim.stability.norms import as_weight
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, quoted
 from lieednn_sim.values import Floats, frozen
 
@@ -32,105 +23,6 @@ Indices = NDArray[np.intp]
 
 #: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
-_UP = 1.0 + 1e-9  # many times the rounding of norms of well-conditioned matrices
-
-
-@frozen
-class Guarantee:
-    """A bound on how a deviation e decays, and on the lag behind an equilibrium that moves.
-
-    The bounds are |T e(t)| <= overshoot exp(-rate t) |T e(0)| and |T e| <= delay |T x*'|.
-
-    Attributes:
-        contracting: whether e may be the distance of any two motions; otherwise it is the distance to the equilibrium.
-        factor: T ``(m, m)`` of the norm, on the coordinates reached.
-        inverse: T^-1.
-        overshoot: at least 1.
-        rate: in 1 / (the network's time).
-        delay: in the network's time.
-        euler_step: largest time step of the forward Euler method that keeps the proof, in the network's time.
-        rk4_step: the same for the classical Runge-Kutta method of order 4.
-    """
-
-    contracting: bool
-    factor: Floats
-    inverse: Floats
-    overshoot: float
-    rate: float
-    delay: float
-    euler_step: float
-    rk4_step: float
-
-
-def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
-    """Guarantees of contraction with Q = S^2, at rates below the best one."""
-    results = []
-    # A fraction of the highest rate is given up, since slower rates allow rounder norms.
-    for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
-        factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
-        if factor is None:
-            continue
-        proof = verify_contraction(factor, np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
-        if not proof.valid:
-            continue
-        inverse = np.asarray(np.linalg.inv(factor), np.float64)
-        step = _contraction_step(scale(weight, log_scale), factor / np.exp(log_scale), gamma, mu)
-        results.append(Guarantee(True, factor, inverse, 1.0, proof.rate, 1.0 / proof.rate, step, step))
-    return results
-
-
-def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
-    """The largest h_0 with 2 <e', e>_P <= -h_0 |e'|_P^2, from M = S W S^-1 and T S^-1, in coordinates S e and S f."""
-    n = len(scaled)
-    metric, identity = factor.T @ factor, np.eye(n)
-    cross = -mu * (metric @ scaled + identity)
-    decay = np.block([[2.0 * gamma * metric, cross], [cross.T, 2.0 * mu * identity]])
-    field = factor @ np.hstack([gamma * identity, -mu * scaled])
-    try:
-        return (1.0 - 1e-6) / float(eigh(field.T @ field, decay, eigvals_only=True)[-1])
-    except np.linalg.LinAlgError:
-        return 0.0
-
-
-def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> list[Guarantee]:
-    """Guarantees of U = eps |y|^2 / 2 + V, for several rates."""
-    certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
-    results = []
-    drive = max(mu * _spectral_norm(scale(weight, log_scale)) * _UP, 1e-6 * gamma)
-    for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():  # fractions of the highest rate that are kept
-        c = fraction * certificate.rate
-        # Below the largest eps, so that the quadratic form of the steps is definite.
-        eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
-        euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
-        root, growth = np.asarray(np.exp(log_scale), np.float64), 1.0 + 1.0 / eps
-        norm = np.diag(root), np.diag(1.0 / root)
-        results.append(Guarantee(False, *norm, float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4))
-    return results
-
-
-def _lyapunov_step(margin: float, eps: float, gamma: float, drive: float, stages: int) -> float:
-    """Largest step found at which U falls, by its quadratic form in (|y|, |g|); a smaller step is then safe, too."""
-
-    def falls(h: float) -> bool:
-        z = h * (gamma + drive)
-        more = z / 2.0 + z**2 / 6.0 + z**3 / 24.0 if stages > 1 else 0.0
-        # |S x'| <= gamma |y| + drive |g|, and the gradient of U is at most eps |y| + |g|.
-        curved = 0.5 * h * (1.0 + eps) * (1.0 + more) ** 2
-        yy = eps * gamma * (1.0 - more) - curved * gamma**2
-        gg = margin - more * drive - curved * drive**2
-        yg = -0.5 * eps * drive * (1.0 + more) - 0.5 * more * gamma - curved * gamma * drive
-        return yy > 0.0 and gg > 0.0 and yy * gg > yg**2 * (1.0 + 1e-9)
-
-    low, high = 0.0, 2.0 / gamma
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if falls(middle) else (low, middle)
-    return low
-
-
-def _spectral_norm(matrix: Floats) -> float:
-    """The largest singular value; zero for an empty matrix."""
-    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
 @frozen
@@ -219,9 +111,9 @@ class Robustness:
             raise InputError(f"pushed must name some of the coordinates {self.pushed.tolist()}, got {moved.tolist()}")
         seen = self.pushed if watched is None else flat_coordinates("watched", watched, n)
         columns, rows = np.isin(self.reached, moved), np.isin(self.reached, seen)
-        norm = _spectral_norm
+        norm = spectral_norm
         # Coordinates that the push does not reach never move.
-        return [(g, norm(g.factor[:, columns]) * norm(g.inverse[rows]) * _UP) for g in self.guarantees]
+        return [(g, norm(g.factor[:, columns]) * norm(g.inverse[rows]) * UP) for g in self.guarantees]
 
 
 def robustness(
@@ -278,8 +170,8 @@ def robustness(
             return np.asarray(log_scale[reached], np.float64)
 
         for power in (1.0, 0.0):  # rounder norms (power 0) prove slower rates and smaller effects
-            guarantees += _by_contraction(inner, whole(contraction.multiplier**power), contraction, gamma, mu)
-            guarantees += _by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
+            guarantees += by_contraction(inner, whole(contraction.multiplier**power), contraction, gamma, mu)
+            guarantees += by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
     if not guarantees:
         raise NotCertifiedError("the certificate is too near its bound for proofs about pushes")
     others = None
@@ -324,7 +216,7 @@ class Decay:
         if bounds.others is not None:
             raise InputError("bounds must be for pushes that reach all coordinates")
         self.watched = as_count("watched", watched, 1, len(bounds.reached))
-        sizes = [g.overshoot * _UP * _spectral_norm(g.inverse[: self.watched]) for g in bounds.guarantees]
+        sizes = [g.overshoot * UP * spectral_norm(g.inverse[: self.watched]) for g in bounds.guarantees]
         self._factors = np.array([size * g.factor for size, g in zip(sizes, bounds.guarantees, strict=True)])
         self._rates = np.array([g.rate for g in bounds.guarantees])
 

@@ -18,8 +18,9 @@ from rich.console import Console
 from lieednn_sim import io
 from lieednn_sim._processes import WorkerContext
 from lieednn_sim.budget import report, reporting
+from lieednn_sim.entries import Registry
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.studies.rows import R
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import UserFile

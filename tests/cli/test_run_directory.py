@@ -16,11 +16,12 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory, Task
+from lieednn_sim.entries import PlannerEntry
 from lieednn_sim.errors import FileError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.network_path import NetworkPath
-from lieednn_sim.registry import PLANNERS, PlannerEntry
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate
 
 pytestmark = pytest.mark.usefixtures("no_plots")

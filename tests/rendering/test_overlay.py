@@ -16,6 +16,7 @@ from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
+from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.rendering.overlay import (
     LOAD_COLOUR,
     PLANNED_COLOUR,
@@ -151,6 +152,6 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
 def test_the_marker_is_put_at_the_target_of_the_end_effector(gantry):
     data = SimpleNamespace(mocap_pos=np.zeros((1, 3)), mocap_quat=np.zeros((1, 4)))
     camera = SimpleNamespace(_model=gantry.model, _arm=gantry, _data=data, _marker=0)
-    video.Camera.mark(camera, [0.1, 0.2, 0.3, 0.6])
+    Camera.mark(camera, [0.1, 0.2, 0.3, 0.6])
     np.testing.assert_allclose(data.mocap_pos, [[1.1, 0.2, 0.3]])
     np.testing.assert_allclose(data.mocap_quat, [[np.cos(0.3), 0.0, 0.0, np.sin(0.3)]], atol=1e-15)

@@ -10,7 +10,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.rendering.viewpoint import unhidden, viewpoint
 
 

@@ -11,8 +11,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import scene_setup
+from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.rendering.still import OPACITIES, instants, render_still
-from lieednn_sim.rendering.video import Camera
 
 
 def test_instants_divide_the_path_not_the_time():

@@ -15,7 +15,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.rendering import video
+from lieednn_sim.rendering import opengl, video
+from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.simulation import simulate
 
 
@@ -56,7 +57,7 @@ def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
     """Where the arm is before it, too, of which the pixels of its own points say."""
     overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
     points, turned = arm.link_poses(rollout.q[0]).translation, rollout.q[0] + np.eye(8)[0]
-    with video.Camera(arm, size=(320, 180), preset="draft") as camera:
+    with Camera(arm, size=(320, 180), preset="draft") as camera:
         picture = camera.picture(rollout.q[0])
         (pixels, free), (lines, planned, *_) = camera.seen(points), overlay.paths(camera.seen, 0, 180)[0]
         moved = np.abs(camera.picture(turned).astype(int) - picture).max(axis=-1) > 20
@@ -151,7 +152,7 @@ def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, mon
     def missing():
         raise RenderingUnavailableError("install libegl1 libgl1")
 
-    monkeypatch.setattr(video.opengl, "require", missing)
+    monkeypatch.setattr(opengl, "require", missing)
     with pytest.raises(RenderingUnavailableError, match="libegl1"):
         video.render_video(rollout, tmp_path / "video.mp4")
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from PIL import Image
 import lieednn_sim as ls
 from lieednn_sim.exports import export
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.camera import Camera
 
 CELL = """
 <mujoco model="cell">

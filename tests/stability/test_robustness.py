@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.stability import find_certificate, find_contraction, robustness
-from lieednn_sim.stability.robustness import Decay, Guarantee, Robustness, _lyapunov_step
+from lieednn_sim.stability.guarantees import Guarantee, _lyapunov_step
+from lieednn_sim.stability.robustness import Decay, Robustness
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA, MU = 1.5, 0.8

@@ -16,7 +16,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.planning import find_tube, plan
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, Table, compute, run_case, write_summary
-from lieednn_sim.studies.comparison import study
+from lieednn_sim.studies.comparison import case as cases
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
 from lieednn_sim.studies.rows import Group, wilson
@@ -43,7 +43,7 @@ def test_a_row_holds_what_the_plan_says_of_itself():
     assert value["gap_mm"] == value["gap_end_deg"] == 0.0
     assert value["final_worst_mm"] < 1e-6
     # A straight line in joint space, and the peak of its law: 15/8 of the mean velocity.
-    arm, target = study.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    arm, target = cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
     way = target - arm.keyframe("home")
     ranges = arm.position_limits[:, 1] - arm.position_limits[:, 0]
     assert value["path_ranges"] == pytest.approx(np.linalg.norm(way / ranges), rel=1e-5)
@@ -56,16 +56,16 @@ def test_a_row_holds_what_the_plan_says_of_itself():
 
 def test_no_planning_time_has_what_a_process_does_once():
     """Else the first problem of each worker took lieednn-shaped ten times as long as the next one."""
-    for once in (encoder._universal, study.load_arm, study._arm_and_target):
+    for once in (encoder._universal, cases.load_arm, cases._arm_and_target):
         once.cache_clear()
-    study.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
     assert encoder._universal.cache_info().currsize == 1
 
 
 def test_only_motions_of_certified_networks_have_a_tube(tmp_path):
     """A number in its own column, a dash for others; and the page says why."""
     made = [run_case(replace(CASE, planner=name), ["mocap"], QUICK) for name in ("linear-attractor", "minimum-jerk")]
-    arm, target = study.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
+    arm, target = cases.arm_and_target(CASE.arm, CASE.scene, CASE.seed)
     size = find_tube(arm, plan(arm, target, planner="linear-attractor", duration=QUICK.duration)).size
     assert [row.tube_mm for (row,) in made] == [pytest.approx(1e3 * size, rel=1e-5), None]
     table = Comparison(common=QUICK).open(tmp_path)
@@ -93,7 +93,7 @@ def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
     def refuse(*_, **__):
         raise PlanError("joint 'turn1' would reach 2.5 rad")
 
-    monkeypatch.setattr(study, "plan", refuse)
+    monkeypatch.setattr(cases, "plan", refuse)
     rows = run_case(CASE, ["mocap", "computed-torque"], QUICK)
     assert [row.reason for row in rows] == ["plan: joint 'turn1' would reach 2.5 rad"] * 2
     assert {(row.success, row.final_worst_mm) for row in rows} == {(False, None)}
@@ -106,7 +106,7 @@ def test_a_planner_that_fails_is_a_row_with_the_reason(monkeypatch, tmp_path):
 
 
 def test_a_bug_in_a_planner_is_not_swallowed_and_names_the_case(monkeypatch):
-    monkeypatch.setattr(study, "plan", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(cases, "plan", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError) as caught:
         run_case(CASE, ["mocap"], QUICK)
     assert caught.value.__notes__ == ["while planning the case minimum-jerk:telescopic_pr:free:0"]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from evaluate_demonstrations import main
 
+from lieednn_sim.entries import Entry, Registry
 from lieednn_sim.errors import FileError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
 from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.studies.demonstrations.models import compare_models

@@ -14,7 +14,7 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
 from lieednn_sim.studies import study as workers
-from lieednn_sim.studies.comparison import study
+from lieednn_sim.studies.comparison import case
 from lieednn_sim.studies.comparison.study import Shard, merge
 from lieednn_sim.studies.rows import grouped
 from lieednn_sim.studies.study import worker_pool
@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch, two_hinges):
     (tmp_path / "post.json").write_text(json.dumps({"obstacles": [POST]}))
     monkeypatch.chdir(tmp_path)
     # A planner's network that is made ahead for each arm, and that nobody needs here.
-    monkeypatch.setattr(study, "reference_network", lambda arm: None)
+    monkeypatch.setattr(case, "reference_network", lambda arm: None)
     return tmp_path
 
 

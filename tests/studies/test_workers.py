@@ -12,8 +12,9 @@ from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
 
+from lieednn_sim.entries import Entry
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.studies import study as workers
 from lieednn_sim.studies.study import run_each, worker_pool
 

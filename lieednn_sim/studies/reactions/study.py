@@ -7,103 +7,32 @@ the network that plans again avoid obstacles themselves, and the tracker plays a
 from __future__ import annotations
 
 import itertools
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import LIMIT_MARGIN
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.display import escaped, markdown_table
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.planning import Plan, ShapedOptions, plan
+from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
 from lieednn_sim.policies.making import FOLLOWERS
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
-from lieednn_sim.studies.comparison.study import FREE, arm_and_target
+from lieednn_sim.studies.comparison.case import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.rows import Group, TableRow, column, columns_of, grouped, outcome
+from lieednn_sim.studies.reactions.rows import COMPARED, DISTURBANCES, Reaction
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
 from lieednn_sim.validation import as_count
-from lieednn_sim.values import Floats, StrPath, check_fields, frozen
+from lieednn_sim.values import Floats, check_fields, frozen
 
-
-class ComparedPolicy(NamedTuple):
-    """A policy of the benchmark: a name of `POLICIES`, and whether it needs the safety filter among obstacles."""
-
-    policy: str
-    options: PlannerOptions | None = None
-    filtered: bool = True
-
-
-COMPARED: dict[str, ComparedPolicy] = {
-    **{f"lieednn-shaped, rho {r:g}": ComparedPolicy("lieednn-shaped", ShapedOptions(rate=r)) for r in (1, 0.3, 0.1)},
-    "lieednn-certified": ComparedPolicy("lieednn-certified"),
-    "lieednn-replanning": ComparedPolicy("lieednn-replanning", filtered=False),
-    "linear-attractor": ComparedPolicy("linear-attractor"),
-    "dmp": ComparedPolicy("dmp"),
-    "fabric": ComparedPolicy("fabric", filtered=False),
-    "mppi": ComparedPolicy("mppi", filtered=False),
-    "tracker": ComparedPolicy("tracker", filtered=False),
-}
-DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
 _DURATION = 7.0  # of a simulation [s]
-
-
-@dataclass(frozen=True, slots=True)
-class Reaction(TableRow):
-    """A row of the benchmark of disturbed policies: one rollout.
-
-    Attributes:
-        arm, scene: names; together with the next three, the key of the row.
-        policy, disturbance: names of `COMPARED` and of `DISTURBANCES`.
-        seed: seed of target, obstacles and disturbance.
-        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
-        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
-    """
-
-    _key = ("arm", "scene", "policy", "disturbance", "seed")
-
-    arm: str
-    scene: str
-    policy: str
-    disturbance: str
-    seed: int
-    success: bool = outcome()
-    reason: str = ""
-    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
-    final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
-    deviation: float | None = column("deviation [ranges]", "largest distance of a joint from the undisturbed path")
-    back_s: float | None = column(
-        "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
-    )
-    back_fraction: float | None = column("of path left", "covered by then, as a fraction of the path that was left")
-    effort: float | None = column("effort [s]", "integral of the mean squared actuator force in units of the limits")
-    velocity_fraction: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
-    force_fraction: float | None = column(
-        "force / limit", "largest actuator force in units of its limit in the weaker direction"
-    )
-    path_m: float | None = column("path [m]", "length of the end effector's path")
-    settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
-    step_us: float | None = column("control step [us]", "median CPU time of a control step", timed=True)
-
-    @property
-    def posed(self) -> bool:
-        """Whether there was a problem to solve; a pole may find no place in the arm's way."""
-        return not self.reason.startswith("problem")
-
-
-MEASURED = columns_of(Reaction)
 
 
 @frozen
@@ -247,24 +176,6 @@ def _disturbed(
     return np.where(rows[:, None], task.target, moved), None, begin
 
 
-METHOD = (
-    "From home to random reachable targets with feedback at 100 Hz and inverse-dynamics servos, for 7 s. After 35 % of"
-    " its own undisturbed path each policy is disturbed: by a force of 0.2 s on a random link, in the same direction "
-    "for all, as large as is needed in this run to make a joint deviate by 8 to 12 % of its range while the force acts"
-    " or soon after, at most 20 kN; by a weight of 10 N at the end effector from then on; by another target, up to a "
-    "tenth of the ranges away; or by a pole that walks 0.6 m, in at most 0.6 s, to a place which the end effector would"
-    " pass on the policy's own path, and stays there. All but the tracker are told where it is in each period. A policy"
-    " has arrived if every link ends within 1 mm and 0.1 degrees of the last target without any contact. It is back "
-    "once its deviation from the undisturbed path stays below a tenth of the largest one, which a lasting weight "
-    "prevents. Effort is the integral of the mean squared actuator force relative to its limits. All policies but the "
-    "tracker see the measured joints and wait for the arm; the tracker plays the guide's motion, whatever arm and "
-    "target do. Among obstacles, and where a pole walks, lieednn-replanning, fabric and path integral (mppi) avoid "
-    "contact by themselves; the other networks, primitives and the linear attractor use the safety filter. "
-    "Policies without a time law of their own, but for lieednn-replanning, approach the target at "
-    "2/s. Only the CPU time of a control step, measured in Python, differs between runs."
-)
-
-
 @dataclass(frozen=True)
 class Reactions(Study[Reaction]):
     """The reactive benchmark: each policy on all arms in all scenes, under each of `DISTURBANCES`."""
@@ -288,52 +199,3 @@ class Reactions(Study[Reaction]):
             for seed, arm, scene, policy in itertools.product(range(self.seeds), self.arms, self.scenes, self.policies)
             if any((arm, scene, policy, name, seed) not in table.rows for name in DISTURBANCES)
         ]
-
-
-class ReactionGroup(Group[Reaction]):
-    """The rows of a policy under a disturbance in a scene."""
-
-    @property
-    def touched(self) -> int:
-        """Number of rows with contact."""
-        return sum(row.reason.startswith("contact") for row in self.rows)
-
-    @property
-    def back(self) -> int:
-        """Number of rows that were back on their path."""
-        return sum(row.back_s is not None for row in self.rows)
-
-
-def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
-    """Groups of `posed` rows over arms and seeds, sorted by their keys: scene, disturbance and policy."""
-    order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
-    result = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
-    result.sort(key=lambda item: (item.key[0], order[item.key[1]], order[item.key[2]]))
-    return [ReactionGroup(item.key, item.rows) for item in result]
-
-
-def write_reactions(path: StrPath, table: Table[Reaction]) -> None:
-    """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
-    rows = list(table.rows.values())
-    arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
-    head = f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians."
-    lines, medians = ["# Policies, disturbed", "", METHOD, "", head], []
-    for group in groups(rows):
-        counts = [f"{group.successes} of {group.total}", str(group.touched)]
-        counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
-        found = (group.median(column.name) for column in MEASURED)
-        cells = ["-" if value is None else f"{value:.3g}" for value in found]
-        medians.append([*map(escaped, group.key), *counts, *cells])
-    heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
-    lines += markdown_table(heads, medians)
-    unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
-    failures = [
-        f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}"
-        for (*key, reason), count in sorted(unposed.items())
-    ] + [
-        f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}"
-        for row in rows
-        if row.reason.startswith(("plan", "simulation", "error"))
-    ]
-    lines += ["", "## Could not be run", "", *map(escaped, failures)] if failures else []
-    io.save_text(path, "\n".join(lines) + "\n")

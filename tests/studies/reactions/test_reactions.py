@@ -13,9 +13,10 @@ from lieednn_sim.planning import Plan, plan
 from lieednn_sim.policies import Fabric, FilteredPolicy, make_policy
 from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
-from lieednn_sim.studies.reactions import study
+from lieednn_sim.studies.reactions import study, summary
 from lieednn_sim.studies.reactions.disturbing import UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.reactions.study import DISTURBANCES, Reaction, Task
+from lieednn_sim.studies.reactions.rows import DISTURBANCES, Reaction
+from lieednn_sim.studies.reactions.study import Task
 
 
 def test_a_recovery_by_hand(gantry):
@@ -233,7 +234,7 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
     for seeds in (1, 2):
         table = compute(study.Reactions(["telescopic_pr"], ["free"], seeds, ("dmp", "tracker")), tmp_path)
     assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]
-    study.write_reactions(tmp_path / "reactions.md", table)
+    summary.write_reactions(tmp_path / "reactions.md", table)
     text = (tmp_path / "reactions.md").read_text("utf-8")
     assert "| free | push | dmp | 0 of 2 | 2 | 2 | - | - | - | 0.05 |" in text
     assert "| free | push | tracker | 2 of 2 | 0 | 2 |" in text
@@ -252,7 +253,7 @@ def test_the_summary_is_in_the_order_of_the_benchmark_and_tells_what_could_not_b
     # Who has no problem has no row, and counts nowhere.
     table.add([row(name, "obstacle", k, reason="problem: no place") for k in range(3) for name in ("fabric", "mppi")])
     table.add([row("mppi", "obstacle", 3)])
-    study.write_reactions(tmp_path / "reactions.md", table)
+    summary.write_reactions(tmp_path / "reactions.md", table)
     lines = (tmp_path / "reactions.md").read_text("utf-8").splitlines()
     assert [line.split(" | ")[1:3] for line in lines if line.startswith("| free")] == [
         ["push", "linear-attractor"],
