@@ -2,9 +2,9 @@
 Between a learned policy and the arm
 ====================================
 
-Learned policies emit *action chunks*: some tens of joint targets, late, noisy, with jumps where two of them meet, and
-now and then through a table. This one stands for such a policy. Played as they come, its chunks shake the arm and hit
-the table. With ``lieednn-chunks`` between the two the arm follows what can be followed; the rest is refused.
+Learned policies emit *action chunks*: some tens of joint targets that come late, with noise, with jumps from one chunk
+to the next, and sometimes through a table. This example imitates such a policy. Played unchanged, its chunks shake the
+arm and hit the table. With ``lieednn-chunks`` in between, the arm follows what it can, and refuses the rest.
 """
 
 from collections import deque
@@ -27,8 +27,8 @@ goal = ls.solve_ik(arm, (1.15, -0.5, 0.75), start=start)
 below = ls.solve_ik(ls.Arm.load("telescopic_pr"), (1.15, -0.1, 0.3), start=start)
 
 # %%
-# The "learned" policy approaches its goal from the joints that it sees, 50 targets at 50 Hz every 0.4 s. They come
-# 0.3 s late, with noise and an offset of their own, and each fourth chunk goes to a place below the table.
+# The "learned" policy approaches its goal from the measured joints, with 50 targets at 50 Hz every 0.4 s. They come 0.3
+# s late, with noise and an offset, and every fourth chunk leads to a place below the table.
 
 PERIOD, DELAY, STEP = 0.4, 0.3, 0.02
 
@@ -68,7 +68,7 @@ class Raw(Policy):
 
 
 # %%
-# Both control the simulated arm at 100 Hz. The first page shows the raw chunks, the second what is followed of them.
+# Both control the simulated arm at 100 Hz. The first page shows the raw chunks, the second ``lieednn-chunks``.
 
 policy = ls.make_policy("lieednn-chunks", arm, start, start=start, rate=100)
 policy.source = Learned()
@@ -81,7 +81,7 @@ for name, each in (("raw", Raw(arm, 100)), ("lieednn-chunks", policy)):
 print(dict(policy.counts))
 
 # %%
-# Above, the height of the end effector; below, the reference of the first joint.
+# Above: the height of the end effector. Below: the reference of the first joint.
 
 figure, (height, joint) = plt.subplots(2, 1, figsize=(6.4, 4.6), layout="constrained", sharex=True)
 for name, run in runs.items():

@@ -3,9 +3,9 @@ Algorithm 1, literal and repaired
 =================================
 
 The paper's Algorithm 1 learns the weights of a network whose equilibrium is a given target. As printed it does not
-reach the target. Repaired it does for most targets, and two further variants need fewer epochs or learn a proof of
-stability as well. This example is for readers of the paper who want to repeat its training. It trains all four on the
-same target and shows their loss and the norm of their weights over the epochs, and what is proved about each result.
+reach the target. Repaired, it does for most targets; two further variants need fewer epochs, or also learn a proof of
+stability. This example trains all four on the same target, and shows their loss, the norm of their weights, and what is
+proved about each result.
 """
 
 import matplotlib.pyplot as plt
@@ -16,11 +16,10 @@ from lieednn_sim.learning import RiemannianOptions, TrainingOptions
 
 # %%
 # The target is random, as in the paper. The printed algorithm integrates the network in each epoch and descends on the
-# loss E itself, with the strengths alpha fixed; here it may take 300 epochs, but in :doc:`our measurements
-# </results/index>` it did not arrive in 10,000 either. The repaired one finds the equilibrium by Newton's method,
-# descends on E²/2, and learns alpha too; it reaches 69 of 100 random targets, this one among them. The tracked one
-# takes Gauss-Newton steps and refuses those that lose the equilibrium. The last one learns a certificate with the
-# weights.
+# loss E itself, with fixed strengths alpha. Here it gets 300 epochs; in :doc:`our measurements </results/index>` it did
+# not arrive in 10,000 either. The repaired algorithm finds the equilibrium by Newton's method, descends on E²/2, and
+# learns alpha; it reaches 69 of 100 random targets, including this one. The tracked algorithm takes Gauss-Newton steps
+# and refuses those that lose the equilibrium. The last one learns a certificate with the weights.
 
 target = np.random.default_rng(8).uniform(-0.8, 0.8, (4, 6))
 results = {
@@ -34,7 +33,7 @@ for name, result in results.items():
 
 # %%
 # Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm of the weights. The paper proves
-# stability where this norm is below gamma/mu = 1, but no network with this equilibrium can have so small a norm.
+# stability if this norm is below gamma/mu = 1, but no network with this equilibrium can have so small a norm.
 
 least = results["tracked"].network.smallest_one_norm(target)
 figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.4), layout="constrained")
@@ -50,9 +49,9 @@ figure.legend(*handles, loc="outside upper center", ncols=4)
 right.legend(fontsize="small", loc="lower center")
 
 # %%
-# Whether the target attracts every start is decided by the weights that were learned. A sharper condition than the
-# norms is the diagonal Lyapunov matrix: it holds where lambda_max is below gamma/mu = 1. After the printed algorithm
-# the network is stable, too, but it rests elsewhere than at the target.
+# Do the learned networks attract every start? A diagonal Lyapunov matrix, a sharper condition than the norms, proves it
+# if lambda_max is below gamma/mu = 1. The network of the printed algorithm is stable too, but its equilibrium is not
+# the target.
 
 print(f"{'':<10}  {'at the target':<13}  {'lambda_max':<10}  proof")
 for name, result in results.items():

@@ -2,9 +2,9 @@
 A batch of 256 simulations
 ==========================
 
-To learn how a controller performs under conditions that vary, you need many simulations, not one. This example
-simulates 256 motions in threads: 32 random targets with eight random payloads each. It shows how far the end effector
-is from its target at the end, and how much faster a batch is than one simulation after another.
+Simulate many motions at once to see how a controller performs under varying conditions. This example simulates 256
+motions in threads: 32 random targets with eight random payloads each. It shows how far the end effector is from its
+target at the end, and how much faster a batch is than single simulations.
 """
 
 import time
@@ -16,7 +16,7 @@ import lieednn_sim as ls
 
 # %%
 # Each motion is planned once and simulated with every payload. Each target is 30 % of the way from home to a random
-# posture. A straight minimum-jerk motion takes 0.5 s, or as much longer as the arm's limits require.
+# configuration. A straight minimum-jerk motion takes 0.5 s, or longer if the arm's limits require it.
 
 arm = ls.Arm.load("telescopic_pr")
 drawn = np.array([ls.draw_target(arm, seed) for seed in range(32)])
@@ -26,8 +26,8 @@ plans = [ls.plan(arm, target, **how) for target in targets]
 payloads = np.sort(np.random.default_rng(0).uniform(0.0, 2.0, 8))
 
 # %%
-# One call simulates all motions with one payload. The controller uses the reference alone, so all controls are known
-# beforehand and MuJoCo does all steps in one go. The states equal those of ``ls.simulate`` to the last bit.
+# One call simulates all motions with one payload. The controller uses only the reference, so all controls are known
+# beforehand and MuJoCo makes all steps in one call. The states equal those of ``ls.simulate`` to the last bit.
 
 loads = [ls.Disturbances(payload=mass) for mass in payloads]
 begun = time.perf_counter()
@@ -45,7 +45,7 @@ same = all(np.array_equal(one.q, states[: len(one.q)]) for one, states in pairs)
 print(f"the same states in the batch and alone, bit for bit: {same}")
 
 # %%
-# The error at the end is proportional to the payload, by a factor that depends on the posture.
+# The final error is proportional to the payload, with a factor that depends on the configuration.
 
 reached = arm.tip(np.array([batch.q[:, -1] for batch in batches]))
 errors = 1e3 * np.linalg.norm(reached - arm.tip(targets), axis=-1)

@@ -2,9 +2,9 @@
 A blend of two motions
 ======================
 
-Motions that nobody has planned, between two that somebody has. One certified network holds every curve of an arm as a
-*code*, which is the start of its hidden neurons. Halfway between two codes lies a code of the same network, under the
-same proof of arrival. Here an arm reaches to ten and to two o'clock of a clock face, and in between by blends.
+Blend two planned motions into new ones without planning. One certified network makes every motion of an arm from a
+*code*, the start of its hidden neurons. Halfway between two codes is a code of the same network, with the same proof of
+arrival. Here an arm reaches for ten and for two o'clock on a clock face, and by blends for the hours in between.
 """
 
 import matplotlib.pyplot as plt
@@ -23,8 +23,8 @@ for hour in (10, 2):
     ends.append(motion.xi[[0, -1]])
 
 # %%
-# States are nearly linear in codes, so the path of a blend is nearly the blend of the paths. ``encoder.path`` has it in
-# closed form; the arm decodes it to joint positions.
+# States are nearly linear in codes, so the path of a blend is nearly the blend of the paths. ``encoder.path`` gives it
+# in closed form; the arm decodes it to joint positions.
 
 fig, ax = plt.subplots(figsize=(7, 3), layout="constrained")
 for part in np.linspace(0.0, 1.0, 6):

@@ -2,9 +2,9 @@
 Learning from demonstrations, with a fan of starts
 ==================================================
 
-For whoever shows a robot a motion a few times and wants it from elsewhere, too. Nine times a hand goes around an
-obstacle to the same goal, with a wider curve where it starts higher. One certified network learns the mean and how the
-motion depends on its start. The figures show what was shown, and what the network does from starts never shown.
+Demonstrate a motion a few times, then reproduce it from other starts. In nine demonstrations a hand goes around an
+obstacle to the same goal, in a wider curve if it starts higher. One certified network learns the mean and how the
+motion depends on its start. The figures show the demonstrations, and the network's motions from new starts.
 """
 
 import matplotlib.pyplot as plt
@@ -36,8 +36,8 @@ print(family.network.certificate)
 print(family.shaping.message)
 
 # %%
-# Starts are twists relative to the goal: no rotation, and a position. A family keeps what depends on the start; with a
-# single curve the deviation of the start only fades.
+# Starts are twists relative to the goal: no rotation, and a position. A family adapts the curve to the start; with a
+# single curve the deviation of the start only decays.
 
 new = np.linspace(-0.17, 0.37, 12)
 starts = np.outer(new, np.eye(6)[4]) - 0.6 * np.eye(6)[3]

@@ -2,9 +2,9 @@
 A learning environment and its expert
 =====================================
 
-For whoever trains an agent. ``TelescopicReach-v0`` is a Gymnasium environment: the arm shall come to rest at a target
-that is drawn for each episode. Its expert, a certified network, says what a good reward is. The pictures show one
-episode, and the curves the expert's reward beside that of random actions.
+Train an agent in ``TelescopicReach-v0``, a Gymnasium environment in which the arm must come to rest at a random target.
+Its expert, a certified network, shows what reward is possible. The pictures show one episode, and the curves the
+rewards of the expert and of random actions.
 """
 
 import gymnasium
@@ -20,7 +20,7 @@ for name, space in environment.observation_space.items():
     print(f"observed {name}:", space.shape)
 
 # %%
-# Both act in the same episode, since it has the same seed.
+# With the same seed both act in the same episode.
 
 SHOWN = (1, 40, 60, 90)
 
@@ -50,7 +50,7 @@ for ax, frame, number in zip(axes.flat, frames, SHOWN, strict=True):
     ax.set(title=f"{number * step:.2f} s", xticks=[], yticks=[])
 
 # %%
-# The reward is 1 exactly where the arm rests at the target.
+# The reward is 1 exactly when the arm rests at the target.
 
 fig, ax = plt.subplots(figsize=(7, 3.5), layout="constrained")
 for rewards, label in ((by_expert, "expert"), (at_random, "random actions")):

@@ -2,10 +2,10 @@
 A boom that a cylinder lifts
 ============================
 
-For whoever moves a crane, a platform or an excavator: a machine whose boom is lifted by a hydraulic cylinder, through a
-closed loop. Boom and cylinder are joined by a ``connect`` of MuJoCo, and only the cylinder is driven. The coordinates
-are those of the boom: slew, luff, extension. Swivel and stroke of the cylinder follow from them by Newton's method on
-MuJoCo's own residuals, and forces go through the same Jacobian.
+Plan for a crane, a platform or an excavator whose boom is lifted by a hydraulic cylinder, through a closed loop. A
+``connect`` of MuJoCo joins boom and cylinder, and only the cylinder is driven. The arm's coordinates are those of the
+boom: slew, luff, extension. The angle and stroke of the cylinder follow from them by Newton's method on MuJoCo's
+residuals, and the same Jacobian maps the forces.
 """
 
 import matplotlib.pyplot as plt
@@ -17,7 +17,7 @@ arm = ls.Arm.load("telescopic_crane")
 print(arm.joint_names, "of", arm.model.njnt, "joints")
 
 # %%
-# A certified network leads the boom between poles. The plan has all joints of the model, the cylinder's among them.
+# A certified network leads the boom between poles. The plan has all joints of the model, including the cylinder's.
 
 arm = arm.with_scene("poles", seed=1)
 plan = ls.plan(arm, ls.draw_target(arm, seed=3), duration=16.0)
@@ -26,7 +26,7 @@ print(plan.network.certificate)
 print(f"the cylinder goes from {plan.qpos[0, stroke]:.3f} to {plan.qpos[-1, stroke]:.3f} m")
 
 # %%
-# In the simulation the cylinder lifts, and holds the weight within its pressure; the hook swings as physics has it.
+# In the simulation the cylinder lifts and holds the weight within its force limit; the hook swings freely.
 
 cylinder = arm.model.actuator("stroke").id
 force = ls.Channel("cylinder", "N", lambda data: data.actuator_force[cylinder : cylinder + 1])

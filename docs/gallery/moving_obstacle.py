@@ -2,10 +2,9 @@
 A pole walks into the way
 =========================
 
-Among people or other machines, obstacles do not stay where they were when the motion was planned. Here a pole walks
-into the way of an arm that is already moving. An arm that plays its motion hits it; the policy ``lieednn-replanning``
-slows down, searches for a path around the pole, and goes on along that path, with the same proof of arrival as before.
-It searches by RRT-Connect, which the extra ``rivals`` installs.
+Replan around obstacles that move. Here a pole moves into the way of an arm that is already moving. An arm that plays
+its planned motion hits the pole. The policy ``lieednn-replanning`` slows down, searches for a path around the pole by
+RRT-Connect (extra ``rivals``), and follows that path with the same proof of arrival.
 """
 
 from dataclasses import replace
@@ -30,8 +29,8 @@ target[0] += 1.6  # turn by 92 degrees, at the same reach
 motion = ls.plan(arm, target, planner="minimum-jerk", duration=4.0)
 
 # %%
-# The pole walks to where the end effector would pass later. The page shows the replanned motion and the pole at its
-# end.
+# The pole moves to where the end effector would pass later. The page shows the replanned motion and the final position
+# of the pole.
 
 places = ((1.9, 2.2, 0.85), (0.66, 1.6, 0.85))
 walk = MovingObstacle("obstacle_pole", times=(0.8, 1.6), positions=places)
@@ -48,7 +47,8 @@ shown = replace(shown, arm=arm.with_moved_bodies({"obstacle_pole": places[-1]}))
 ls.render_page(shown, "pole.html")
 
 # %%
-# Both arms go the same way at first. With replanning the arm slows down while it searches, then goes around the pole.
+# At first both arms follow the same path. With replanning the arm slows down during the search, then goes around the
+# pole.
 
 figure, (above, speed) = plt.subplots(1, 2, figsize=(6.4, 3.2), layout="constrained")
 for width, (name, one) in zip((3.0, 1.5), rollouts.items(), strict=True):

@@ -2,10 +2,10 @@
 A target that moves, and the lag behind it
 ==========================================
 
-An arm that hands something over, or that works at a conveyor, has a target that moves, and that jumps when somebody
-takes it elsewhere. A certified network follows it by changing its bias alone, and its weights prove beforehand how far
-it may lag behind. This example compares the lag with the proved bound, and both with the plain way: to hand the target
-itself to the controller. A target whose motion is known beforehand needs none of this: plan it, and track the plan.
+Follow a target that moves and jumps, for instance at a conveyor or in a handover. A certified network follows it by
+changing only its bias, and its weights prove beforehand how far it may lag behind. This example compares the lag with
+the proved bound, and with simply sending the target itself to the controller. If the target's motion is known
+beforehand, plan it and track the plan instead.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ import lieednn_sim as ls
 from lieednn_sim.policies import NetworkPolicy, Policy
 
 # %%
-# The target swings about the middle between two keyframes, by 15 % of the difference between them, once in 6 s. Then it
-# jumps by a half of the difference, and rests.
+# The target oscillates about the middle between two keyframes, by 15 % of their difference, once in 6 s. Then it jumps
+# by half of the difference and rests.
 
 arm = ls.Arm.load("telescopic_pr")
 home, extended = arm.keyframe("home"), arm.keyframe("extended")
@@ -25,8 +25,8 @@ where = np.where(t < 6.0, 0.5 + 0.15 * np.sin(2.0 * np.pi / 6.0 * t), 1.0)
 target = home + where[:, None] * (extended - home)  # a row for each step
 
 # %%
-# The policies do not see the measured joints, about which the bound says nothing. The third one is the second with
-# feedforward, which adds the target's velocity. The last one is no more than the target.
+# The policies run without feedback, which the bound does not cover. The third policy is the second with feedforward of
+# the target's velocity. The last one is just the target.
 
 
 class Target(Policy):

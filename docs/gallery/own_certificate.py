@@ -2,11 +2,10 @@
 A certificate for your own weights
 ==================================
 
-A recurrent network x' = -gamma x + mu W tanh(x) + mu b may have one equilibrium that attracts every start, several
-stable equilibria, or none. If you have the weights of such a network, from training or from a paper, you want to know
-which. This example assesses three weight matrices. It shows which conditions hold, which fail, and by how much the
-weights must be scaled to pass, next to trajectories from everywhere. It needs no robot and no network class, only a
-matrix.
+Is your recurrent network globally stable? A network x' = -gamma x + mu W tanh(x) + mu b may have one equilibrium that
+attracts every start, several stable equilibria, or none. This example assesses three weight matrices. It shows which
+conditions hold, which fail, by how much the weights must be scaled to pass, and trajectories from many starts. It needs
+only a matrix, no robot.
 """
 
 import matplotlib.pyplot as plt
@@ -15,9 +14,9 @@ import numpy as np
 import lieednn_sim as ls
 
 # %%
-# The first matrix has strong couplings, but of opposite signs. Every condition on norms fails. There is a diagonal
-# Lyapunov matrix, however: it is found by a search and then checked by eigenvalues, and lambda_max lies below gamma/mu
-# = 1. So the network has one equilibrium for every bias, and it attracts every start.
+# The first matrix has strong couplings of opposite signs. Every condition on norms fails. But a search finds a diagonal
+# Lyapunov matrix, and eigenvalues confirm it: lambda_max is below gamma/mu = 1. So the network has one equilibrium for
+# every bias, which attracts every start.
 
 gamma, mu, bias = 1.0, 1.0, np.array([0.2, -0.1])
 strong = np.array([[0.4, 4.0], [-1.5, 0.3]])
@@ -25,8 +24,8 @@ print(ls.stability.assess(strong, gamma=gamma, mu=mu))
 
 # %%
 # In the second matrix each neuron excites itself. All conditions fail, and lambda_max of the best diagonal Lyapunov
-# matrix exceeds gamma/mu. For a given diagonal, lambda_max is proportional to W. So the weights pass when they are
-# multiplied by less than gamma/(mu lambda_max), and so does a network whose gamma is raised above mu lambda_max.
+# matrix exceeds gamma/mu. For a given diagonal, lambda_max is proportional to W. So the weights pass after
+# multiplication by less than gamma/(mu lambda_max), or with gamma above mu lambda_max.
 
 exciting = np.array([[1.8, -0.5], [0.3, 1.6]])
 verdict = ls.stability.assess(exciting, gamma=gamma, mu=mu)
@@ -37,8 +36,7 @@ scaled = 0.95 * largest * exciting
 print(ls.stability.find_certificate(scaled, gamma=gamma, mu=mu))
 
 # %%
-# Trajectories from everywhere in the plane agree with this. The stars mark where they end: in one state, in two, and in
-# one.
+# Trajectories agree with this. The stars mark where they end: in one state, in two, and in one.
 
 x = np.linspace(-3.0, 3.0, 25)
 figure, axes = plt.subplots(1, 3, figsize=(6.4, 2.7), sharey=True)

@@ -2,9 +2,9 @@
 Your own robot at your own table
 ================================
 
-For whoever has a URDF of a robot and a list of what stands around it. This robot has a boom with a tube that slides
-out. The script writes its URDF; yours may come from anywhere. The import report says how the robot was understood, and
-the page shows how the hand is lifted over a box and put down between two.
+Plan for a robot from a URDF file among a list of obstacles. This robot has a boom with a tube that slides out; the
+script writes its URDF. The import report says how the package interprets the robot, and the page shows how its hand
+moves over a box and down between two boxes.
 """
 
 from pathlib import Path
@@ -39,7 +39,7 @@ for part in PARTS.strip().splitlines():
 Path("boom.urdf").write_text(urdf + "</robot>")
 
 # %%
-# What stands around it is a list of shapes.
+# The obstacles are a list of shapes.
 
 Path("table.yaml").write_text("""
 obstacles:

@@ -2,9 +2,9 @@
 The figure of the paper
 =======================
 
-Four neurons of se(3) converge to their target from sixteen random starts. This is the paper's figure of its four-link
-example, drawn for many starts instead of one. It is for readers of the paper who want to see the method work before
-they read on. The network is certified, so the figure shows what is proved: the target attracts every start.
+Four neurons in se(3) converge to their target from sixteen random starts. This is the paper's figure of its four-link
+example, for many starts instead of one. The network is certified, so the figure shows what is proved: the target
+attracts every start.
 """
 
 import matplotlib.pyplot as plt

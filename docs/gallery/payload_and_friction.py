@@ -2,10 +2,10 @@
 Payload, wrong masses, noise and friction
 =========================================
 
-No controller knows its arm exactly. If you have to choose a controller, you want to know what each kind of error costs.
-Here three controllers follow the same motion under four conditions: all masses are 20 % larger than in the controller's
-model, the arm carries an unknown payload of 2 kg, the sensors are noisy, or every joint has dry friction. You see the
-error of the end effector over time, and that no controller is the best under all four.
+Which controller copes best with an inexact model? Here three controllers follow the same motion under four conditions:
+all masses are 20 % larger than in the controller's model, the arm carries an unknown payload of 2 kg, the sensors are
+noisy, or every joint has dry friction. The figure shows the error of the end effector over time; no controller is the
+best under all four.
 """
 
 import matplotlib.pyplot as plt
@@ -18,8 +18,8 @@ arm = ls.Arm.load("telescopic_pr")
 planned = ls.plan(arm, "extended", duration=4.0, seed=0)
 
 # %%
-# Masses, payload and noise are disturbances, which no controller knows. The friction belongs to the arm: a copy of its
-# model gets 5 N m in each hinge and 20 N in each slide. Controllers that use the model know this friction.
+# Masses, payload and noise are disturbances, which no controller knows. Friction is part of the arm's model: 5 N m in
+# each hinge and 20 N in each slide. Controllers that use the model know it.
 
 spec = arm.spec.copy()
 for joint in spec.joints:
@@ -33,9 +33,9 @@ cases = {
 }
 
 # %%
-# ``position-servo`` uses nothing of the model but the damping of the joints. ``inverse-dynamics`` adds the forces that
-# the model needs to the servo, and ``computed-torque`` replaces the servo by feedback through the model. When the model
-# is right, the servo follows within 0.12 mm and the others exactly. The motion ends after 4 s.
+# ``position-servo`` uses only the joints' damping from the model. ``inverse-dynamics`` adds the forces that the model
+# needs to the servo, and ``computed-torque`` replaces the servo by feedback through the model. If the model is right,
+# the servo follows within 0.12 mm and the others exactly. The motion ends after 4 s.
 
 controllers = {"position-servo": "-", "inverse-dynamics": "--", "computed-torque": "-."}
 figure, axes = plt.subplots(2, 2, figsize=(6.4, 5.0), sharex=True, layout="constrained")
@@ -57,6 +57,6 @@ handles = axes[0, 0].get_legend_handles_labels()
 figure.legend(*handles, loc="outside upper center", ncols=3)
 
 # %%
-# A model does not help against what it does not contain, such as wrong masses or a payload. The feedback of computed
-# torque is softer: the arm sags more under the payload, but less noise reaches the joints. Known friction is
+# A model does not help against errors that it does not contain, such as wrong masses or a payload. The feedback of
+# computed torque is softer: the arm sags more under the payload, but less noise reaches the joints. Known friction is
 # compensated.

@@ -2,9 +2,9 @@ r"""
 Pick, carry, place
 ==================
 
-For whoever wants an arm to do several things in a row in a MuJoCo model: reach for a box, close the gripper, carry the
-box around an obstacle, and put it down. ``ls.plan_sequence`` plans each move with a proof of its own, and
-``ls.simulate`` simulates the whole in the given model, where only friction holds the box.
+Reach for a box, close the gripper, carry the box around an obstacle, and put it down, in a MuJoCo model.
+``ls.plan_sequence`` plans each move with its own proof, and ``ls.simulate`` simulates the whole sequence in the given
+model, where only friction holds the box.
 """
 
 import mujoco
@@ -29,8 +29,8 @@ def down(x, y, z):
 
 
 # %%
-# The steps. While the box is held it is part of the hand: it keeps off the wall, and may touch the table that it stands
-# on and the shelf that it is put on. The gripper's step ends when its fingers rest.
+# The steps. While the box is held it is part of the hand: it keeps its distance from the wall, and may touch the table
+# that it stands on and the shelf that it is put on. The gripper step ends when the fingers rest.
 
 steps = [
     ls.Move(down(0.62, -0.45, 0.32), name="above the box"),
@@ -47,7 +47,7 @@ sequence = ls.plan_sequence(arm, steps)
 print(sequence)
 
 # %%
-# One run of all steps. The box is 6 mm above the shelf before it is released, and is measured where it comes to rest.
+# One run of all steps. The box is released 6 mm above the shelf; its position is measured when it rests.
 
 run = ls.simulate(arm, sequence)
 box = run.poses("box").translation

@@ -2,14 +2,14 @@ r"""
 A plan with a robot of the Menagerie
 ====================================
 
-For whoever begins with a robot of the `MuJoCo Menagerie <https://github.com/google-deepmind/mujoco_menagerie>`_, adds
-furniture and objects of their own, and wants the arm to move among them. Here a KUKA LBR iiwa 14 reaches out of one
-compartment of a shelf and into another, past cans that stand free.
+Take a robot of the `MuJoCo Menagerie <https://github.com/google-deepmind/mujoco_menagerie>`_, add furniture and
+objects, and plan among them. Here a KUKA LBR iiwa 14 reaches out of one compartment of a shelf and into another, past
+free-standing cans.
 
-The script needs the Menagerie's files: ``pip install mujoco-menagerie`` downloads them when it first uses them. They
-are not part of this project, so this page was not made when the site was built, but by hand: on 25 November 2026, with
-MuJoCo 3.17.0, lieednn_sim 0.2.0, and a copy of the Menagerie's folder of this robot. The page shows
-its meshes, under `their licence <../../_static/kept/plan_in_menagerie.license.txt>`__.
+The script needs the Menagerie's files; the package ``mujoco-menagerie`` (pip) downloads them at first use. They are not
+part of this project, so the site's build does not run this script. The page was made on 25 November 2026, with MuJoCo
+3.17.0, lieednn_sim 0.2.0, and a copy of the Menagerie's folder of this robot. It shows the Menagerie's meshes, under
+`their licence <../../_static/kept/plan_in_menagerie.license.txt>`__.
 
 .. raw:: html
 
@@ -29,7 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import lieednn_sim as ls
 
 # %%
-# The Menagerie's scene as a specification, with a shelf, cans, and a camera in addition.
+# Add a shelf, cans and a camera to the Menagerie's scene.
 
 spec = mujoco_menagerie.get("kuka_iiwa_14").spec()
 spec.delete(spec.body("target"))  # a mocap body that nobody needs here
@@ -49,8 +49,8 @@ data.qpos[:7] = [0, -0.5, 0, -2, 0, 1.2, 0]
 mujoco.mj_forward(model, data)
 
 # %%
-# The flange is to go into the lower left compartment, and from there to the upper right one. The velocities are the
-# data sheet's; the Menagerie has no limits of accelerations for this arm.
+# The flange moves into the lower left compartment, and from there into the upper right one. The velocity limits are
+# from the data sheet; the Menagerie has no acceleration limits for this arm.
 
 joints = [f"joint{k}" for k in range(1, 8)]
 speeds = np.deg2rad([85, 85, 100, 75, 130, 135, 135])
@@ -63,7 +63,7 @@ found = ls.plan_sequence(arm, steps)
 print(found)
 
 # %%
-# Simulated in that very model, where the arm's own servos follow the plan.
+# The simulation uses the same model, and the arm's own servos follow the plan.
 
 run = ls.simulate(arm, found)
 print(f"largest tracking error: {np.rad2deg(np.abs(run.tracking_error).max()):.2f} degrees")

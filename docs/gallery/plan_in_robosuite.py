@@ -2,12 +2,12 @@ r"""
 Pick and place in a task of robosuite
 =====================================
 
-For whoever works with `robosuite <https://robosuite.ai>`_ and wants certified motions in its tasks: demonstrations, or
-an expert to compare with. In its task ``PickPlace`` a Panda takes the can out of a bin, between milk, bread and cereal,
-and puts it into its quarter of the other bin.
+Plan certified motions in tasks of `robosuite <https://robosuite.ai>`_, as demonstrations or as an expert. In the task
+``PickPlace`` a Panda takes a can out of a bin, between milk, bread and cereal, and puts it into its quarter of the
+other bin.
 
 robosuite 1.5.2 cannot be installed beside this package: it needs NumPy below 2, and its environments do not start with
-MuJoCo 3.17, which this package needs. So the task is saved in an environment of its own, by
+MuJoCo 3.17, which this package needs. So save the task in a separate environment, by
 ``pip install robosuite==1.5.2 mujoco==3.3.7`` and these lines:
 
 .. code-block:: python
@@ -24,10 +24,10 @@ MuJoCo 3.17, which this package needs. So the task is saved in an environment of
        file.write(env.sim.model.get_xml())
    np.save("pick_place.npy", env.sim.data.qpos)
 
-The XML names the meshes where robosuite is installed, so both environments must be on the same machine. robosuite's
-models are not part of this project, so this page was not made when the site was built, but by hand: on 25 November
-2026, with MuJoCo 3.17.0 and lieednn_sim 0.2.0. The page shows robosuite's collision meshes,
-under `its licence <../../_static/kept/plan_in_robosuite.license.txt>`__.
+The XML refers to the meshes of the installed robosuite, so both environments must be on the same machine. robosuite's
+models are not part of this project, so the site's build does not run this script. The page was made on 25 November
+2026, with MuJoCo 3.17.0 and lieednn_sim 0.2.0. It shows robosuite's collision meshes, under
+`its licence <../../_static/kept/plan_in_robosuite.license.txt>`__.
 
 .. raw:: html
 
@@ -52,7 +52,7 @@ data.qpos[:] = np.load("pick_place.npy")
 mujoco.mj_forward(model, data)
 
 # %%
-# The hand points downwards over a point, at a height. It may turn about the vertical, since a can is round.
+# The hand points downwards over a point, at a given height. It may turn about the vertical, since the can is round.
 
 
 def over(point, height, tolerance=(0.0, 0.0)):
@@ -64,8 +64,8 @@ def over(point, height, tolerance=(0.0, 0.0)):
 
 
 # %%
-# Moves of the arm, each planned and proved, and steps of the fingers. In the other bin the can may stand anywhere in a
-# part of its quarter that the Panda can reach from above; the farthest corner is out of its reach.
+# Moves of the arm, each with its proof, and steps of the fingers. In the other bin the can may be put anywhere in the
+# part of its quarter that the Panda can reach from above; the farthest corner is out of reach.
 
 can, quarter = data.body("Can_main").xpos, data.body("VisualCan_main").xpos - np.array([0.035, 0.02, 0.0])
 fingers = [f"gripper0_right_gripper_finger_joint{k}" for k in (1, 2)]
@@ -87,8 +87,8 @@ steps = [
 ]
 
 # %%
-# The velocities are the Panda's own. All motions are planned first, and then simulated in robosuite's model, where its
-# motors follow the plan and its fingers hold the can by friction.
+# The velocity limits are the Panda's. All motions are planned first, and then simulated in robosuite's model, in which
+# the robot's motors follow the plan and friction holds the can.
 
 joints = [f"robot0_joint{k}" for k in range(1, 8)]
 speeds = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]

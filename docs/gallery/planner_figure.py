@@ -2,10 +2,9 @@
 Five planners in a figure for a paper
 =====================================
 
-If you write about motion planning, you need a table of all runs and a figure that summarises it. This example compares
-five planners on the same random targets, keeps every run in a CSV table, and draws medians and ranges of three
-measures. It saves the figure as PDF for the paper and as PNG for slides. There are only three targets, so that this
-page is built quickly; more seeds, arms and scenes are a change of one line each.
+Compare five planners on the same random targets, and make a table and a figure for a paper. Every run is in a CSV
+table; the figure shows medians and ranges of three measures, as PDF for the paper and as PNG for slides. There are only
+three targets, so that this page builds quickly; add seeds, arms and scenes by changing one line each.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +14,8 @@ import lieednn_sim as ls
 from lieednn_sim.studies import Settings
 
 # %%
-# Each run is in ``comparison/comparison.sqlite`` at once; an interrupted comparison continues from there. With
-# ``jobs=4`` it uses worker processes, which in a script need the guard ``if __name__ == "__main__":``.
+# Each finished run is stored in ``comparison/comparison.sqlite``; an interrupted comparison continues from there. With
+# ``jobs=4`` it uses worker processes; a script then needs the guard ``if __name__ == "__main__":``.
 
 planners = ["minimum-jerk", "se3-geodesic", "dmp", "lieednn-certified", "lieednn-shaped"]
 case = {"arms": ["telescopic_pr"], "scenes": ["free"], "controllers": ["inverse-dynamics"]}
@@ -55,5 +54,5 @@ with plt.rc_context({"font.size": 8, "pdf.fonttype": 42}):  # text stays text in
 plt.close(figure)
 
 # %%
-# Without obstacles minimum jerk is the shortest and smoothest. A certified network pays for its proof by a longer path
-# and a mechanism gap; a shaped network has the proof, nearly the path of minimum jerk, and almost no gap.
+# Without obstacles minimum jerk is the shortest and smoothest. A certified network pays for its proof with a longer
+# path and a mechanism gap. A shaped network has the proof, nearly the path of minimum jerk, and almost no gap.

@@ -2,10 +2,10 @@
 A push beside a window's frame, and the proved return
 =====================================================
 
-For whoever wants to know what happens when something hits the arm. On its way through a window, the arm is thrown back.
-A tracker plays its motion as if nothing had happened, and its return hits the frame. A certified network waits for the
-arm, lets it pull its state along, and goes to the target from there. The example says how often each of the two touches
-something, when the tracker is the better choice, and what is proved of the network's return.
+What happens when something hits the arm? Here a push throws the arm back on its way through a window. A tracker plays
+its motion as if nothing had happened, and its return hits the frame. A certified network waits for the arm, lets the
+arm pull its state along, and goes to the target from there. The example says how often each of the two touches
+something, when the tracker is the better choice, and what is proved about the network's return.
 """
 
 import matplotlib.pyplot as plt
@@ -18,8 +18,8 @@ from lieednn_sim.planning import ShapedOptions, find_tube
 from lieednn_sim.policies import MotionTracker
 
 # %%
-# A network with ``rate`` 0.1 goes back to its path before it goes on along it. The tracker plays the network's own
-# undisturbed motion: without a push, both runs are the same. The controller is the same, too.
+# A network with ``rate`` 0.1 returns to its path before it continues along it. The tracker plays the network's
+# undisturbed motion with the same controller, so without a push both runs are the same.
 
 arm = ls.Arm.load("telescopic_compound", scene="window", seed=0)
 target = ls.draw_target(arm, seed=0)
@@ -50,8 +50,8 @@ following, rollout = runs["network"], runs["network"].rollout
 ls.render_page(rollout, "motion.html")
 
 # %%
-# Twelve other pushes, of 600 N in random directions. Where something touches while the force still acts, there is no
-# return to judge.
+# Twelve other pushes, of 600 N in random directions. Runs in which something touches while the force still acts do not
+# count.
 
 rng, touched, counted = np.random.default_rng(0), dict.fromkeys(policies, 0), 0
 for direction in rng.normal(size=(12, 3)):
@@ -66,21 +66,21 @@ for name, count in touched.items():
     print(f"{name}: touches something on {count} of {counted} returns")
 
 # %%
-# A wider search, made once and not here: pushes of 300 to 900 N for 0.2 s on the last two links of three arms, in
-# windows and shelves and among poles. 127 of them threw the arm off by more than 30 mm, and nothing touched while they
-# acted. On the return the tracker touched something after 78 of them, and the network after 23, 22 of which are among
-# the 78. A movement primitive that imitates the network's motion, with the same feedback, did after 43.
+# A wider search, made once and not here, used pushes of 300 to 900 N for 0.2 s on the last two links of three arms, in
+# windows and shelves and among poles. 127 of them threw the arm off by more than 30 mm without contact while they
+# acted. On the return, the tracker touched something after 78 of them, and the network after 23, of which 22 are among
+# the 78. A movement primitive that imitates the network's motion, with the same feedback, touched something after 43.
 #
-# **When the tracker is the better choice.** Where nothing is near, it is back sooner, after 0.06 s beside 0.22 s
-# (:doc:`medians of nine pushes </results/reactions>`), and it keeps its timetable. Where the servos hold against the
-# force, both do the same. With the controller ``computed-torque``, which knows the arm's dynamics, neither touches the
-# frame after the push above.
+# **When the tracker is the better choice.** Far from obstacles it is back sooner, after 0.06 s instead of 0.22 s
+# (:doc:`medians of nine pushes </results/reactions>`), and it keeps its timing. If the servos withstand the force, both
+# do the same. With the controller ``computed-torque``, which knows the arm's dynamics, neither touches the frame after
+# the push above.
 #
-# **What the network gives instead.** It arrives from wherever the arm pulls its state to: that is proved. That its path
-# is free is proved inside the tube of its plan. While the arm pulls the state out of it nothing is known of the
-# clearance, and so some of its returns touch something, too, even harder. Once the arm no longer pulls, the state's
-# distance from the path shrinks as e to the minus the network's own time, exactly. From where it is in the tube again,
-# the rest of the network's way is proved to be free, and the arm follows it within the controller's error.
+# **What the network offers.** It is proved to arrive from wherever the arm pulls its state to. Its path is proved free
+# of contact inside the tube of its plan. While the arm pulls the state out of the tube, nothing is known about
+# clearance, so some of its returns touch something too, even harder. Once the arm no longer pulls, the state's distance
+# from the path decays exactly as e to the minus the network's own time. As soon as the state is in the tube again, the
+# rest of the network's path is proved free, and the arm follows it within the controller's error.
 
 planned = ls.plan(arm, target, planner="lieednn-shaped", options=options)
 tube, motion, count = find_tube(arm, planned), planned.motion, arm.n_links

@@ -2,9 +2,9 @@
 One network, any target
 =======================
 
-For whoever drags a target about and does not want to plan again each time. A network is certified once. Another target
-changes only its bias, on which the proof does not depend. Here the target jumps four times while the arm is on its way;
-the page shows the motion, and the figure how far the end effector is from the present target.
+Change the target during a motion, without planning again. A network is certified once; another target changes only its
+bias, on which the proof does not depend. Here the target jumps four times while the arm moves. The page shows the
+motion, and the figure the distance of the end effector from the current target.
 """
 
 from time import process_time
@@ -22,7 +22,7 @@ policy = ls.make_policy("lieednn-certified", arm, targets[0])
 print(policy.network.certificate)
 
 # %%
-# Retargeting takes one product of the weights with the activations.
+# Retargeting takes one product of the weights and the activations.
 
 states = arm.encode(targets)
 begun = process_time()
@@ -32,7 +32,7 @@ print(f"{1e6 * spent:.0f} us for a target")
 print(f"all certified: {all(other.certified for other in others)}")
 
 # %%
-# The policy does this in every control period in which the target has moved. The sphere marks the last target.
+# The policy does this in every control period in which the target moved. The sphere marks the last target.
 
 
 def target(t):
@@ -44,7 +44,7 @@ rollout = following.rollout
 ls.render_page(rollout, "motion.html")
 
 # %%
-# The distance rises when the target jumps, and falls again. The last target stays, and the arm arrives.
+# The distance rises when the target jumps, and falls again. At the last target the arm arrives.
 
 away = arm.tip(rollout.q) - arm.tip(following.target)
 distance = np.linalg.norm(away, axis=1)

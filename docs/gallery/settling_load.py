@@ -2,10 +2,9 @@
 A load that hangs still when it arrives
 =======================================
 
-For whoever moves what hangs and bends. A timber crane lifts a log over a truck's stakes in 8 s. Its last stage bends,
-and the log swings: joints that nothing drives, which stay in the model and are seen. ``settle="least-energy"`` follows
-the planned path by another time law, after which little of them moves, also with a load that is a fifth heavier or
-hangs lower than the planner believes.
+Move a hanging load so that it is at rest at the end. A timber crane lifts a log over a truck's stakes in 8 s; its last
+stage bends, and the log swings. ``settle="least-energy"`` follows the planned path with another time law, after which
+little swing is left, also if the load is a fifth heavier or hangs lower than the planner assumes.
 """
 
 from pathlib import Path
@@ -24,8 +23,8 @@ joints, start, goal = ["slew", "inner", "outer", "telescope"], [-1.5, 0.45, -1.4
 data.qpos[:4] = data.ctrl[:] = start
 
 # %%
-# Where the log hangs at rest, and how it would swing about that: natural frequencies and damping, by MuJoCo's mass
-# matrix and the slopes of its forces.
+# The natural frequencies and damping of the log about its rest position, from MuJoCo's mass matrix and linearised
+# forces.
 
 arm = ls.Arm.of(model, data, joints, tip="tip")
 data.qpos[:] = PassiveJoints(arm).at_rest(data.qpos[None])[0]
@@ -51,7 +50,7 @@ print(f"with: {ls.evaluate(settled).load}")
 ls.render_page(settled, "with.html", title="least energy left")
 
 # %%
-# What swings, and how its frequencies change along the path. The plan knows the model's load alone; what is left with
+# What swings, and how its frequencies change along the path. The plan knows only the model's load; the swing left with
 # other loads is below.
 
 figure, (above, middle, below) = plt.subplots(3, 1, figsize=(6.4, 7.2), layout="constrained")

@@ -2,9 +2,9 @@
 On a straight line
 ==================
 
-For whoever draws a drawer, inserts a part or carries a full cup: the end effector has to stay on a line, or as it is
-turned, while the joints find their way. `path_constraint` takes the region in which it stays, here a line
-with an orientation, and the network that follows it has its certificate as always.
+Keep the end effector on a line or at an orientation, to open a drawer, insert a part or carry a full cup.
+`path_constraint` takes the region in which the end effector must stay, here a line with an orientation. The network
+that follows the motion has its certificate as always.
 """
 
 import matplotlib.pyplot as plt
@@ -17,7 +17,7 @@ here = arm.link_poses(arm.keyframe("home"))[-1]
 there = here.translation + np.array([0.0, 1.2, 0.0])
 
 # %%
-# The goal is the end of the line, and the region to keep is the line with the orientation at the start.
+# The goal is the end of the line. The path constraint is the line with the orientation at the start.
 
 line = ls.TaskSpaceRegion.line(here.translation, there, here.rotation)
 kept = ls.plan(arm, ls.TaskSpaceRegion.box(there, there), path_constraint=line)
@@ -33,7 +33,8 @@ rollout = ls.simulate(arm, kept, controller="computed-torque", disturbances=load
 ls.render_page(rollout, "motion.html")
 
 # %%
-# How far the end effector is off the line, and turned: planned with the region, simulated, and planned without it.
+# Distance and rotation of the end effector from the line: planned with the path constraint, simulated, and planned
+# without it.
 
 motions = {"planned without a line": free.motion, "planned on the line": kept.motion, "simulated": rollout}
 fig, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")

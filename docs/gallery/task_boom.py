@@ -2,9 +2,9 @@
 A boom of 22 m through a pipe
 =============================
 
-For whoever inspects what a person cannot enter. A boom of 22 m passes a hole of 0.55 m in a vessel's wall, which leaves
-a margin of about 40 mm, and the opening of a pedestal behind it; then it turns its head and lowers a wand with a
-camera. Its dimensions are those published of a real one (``assets/tasks/boom`` in the repository).
+Inspect a vessel that no person can enter. A boom of 22 m passes through a hole of 0.55 m in the vessel's wall, which
+leaves a margin of about 40 mm, and through the opening of a pedestal behind it. Then it turns its head and lowers a
+wand with a camera. Its dimensions are published ones of a real boom (``assets/tasks/boom`` in the repository).
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ goal = [4.95, 4.2, 0.45, 1.0, 0.4]  # m, m, rad, rad, m
 arm = ls.Arm.of(model, data, joints, tip="tip", clearance=0.03)
 
 # %%
-# All joints at once, as minimum jerk has it, meet the pipe.
+# Minimum jerk moves all joints at once, into the pipe.
 
 try:
     ls.plan(arm, goal, planner="minimum-jerk", duration=60.0)
@@ -31,7 +31,7 @@ except ls.PlanError as error:
     print(f"minimum-jerk: {error}")
 
 # %%
-# ``lieednn-shaped`` lets a guide find a way that keeps 30 mm, and encodes it in a network with a proof.
+# ``lieednn-shaped`` lets a guide find a path that keeps 30 mm, and encodes it in a network with a proof.
 
 found = ls.plan(arm, goal, planner="lieednn-shaped", duration=60.0)
 print(f"{found.planner}, {found.t[-1]:.0f} s, guided by {found.guide.planner}")

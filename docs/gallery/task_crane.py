@@ -2,9 +2,9 @@
 A crane with an elastic boom and a swinging log
 ===============================================
 
-For whoever moves what hangs and bends. A timber crane lifts a log over a truck's stakes. The planner knows a rigid
-crane alone; in simulation its last stage bends and the log swings. How much swing is left depends on how the path is
-timed: smoothly, as planned, or with a trapezoidal speed in the same time.
+A timber crane lifts a log over a truck's stakes. The planner takes the crane as rigid; in simulation its last stage
+bends and the log swings. How much swing is left depends on the timing of the path: smooth, as planned, or with a
+trapezoidal speed in the same time.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ for _ in range(2000):  # until the log hangs at rest
 data.qpos[:4], data.qvel[:] = start, 0.0
 
 # %%
-# Boxes in the scene that only the hook touches keep it high enough for the log below it.
+# The scene has boxes that only the hook collides with. They keep it high enough for the log below it.
 
 joints = ["slew", "inner", "outer", "telescope"]
 arm = ls.Arm.of(model, data, joints, tip="tip")

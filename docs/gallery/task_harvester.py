@@ -2,10 +2,9 @@
 Picking fruit
 =============
 
-For whoever lets a telescopic arm reach between branches, over and over. The arm picks a fruit behind a trellis: it
-moves in front of it, approaches it straight along its own axis, and returns to where fruit is put down. All motions are
-timed to the arm's limits; robots in orchards are published with about six seconds for a fruit
-(``assets/tasks/harvester`` in the repository has the sources).
+A telescopic arm picks a fruit behind a trellis: it moves in front of the fruit, approaches it straight along its own
+axis, and returns to where fruit is put down. All motions are timed to the arm's limits. Published orchard robots need
+about six seconds for a fruit (``assets/tasks/harvester`` in the repository has the sources).
 """
 
 from pathlib import Path
@@ -31,7 +30,7 @@ angles = [np.arctan2(away[1], away[0]), np.arcsin(away[2] / far)]
 before, at = (np.array([*angles, far - 0.04 - gap - 0.5]) for gap in (0.11, 0.01))
 
 # %%
-# Three plans in a row, each from where the simulation of the one before it ended.
+# Three plans in a row, each from where the simulation of the plan before ended.
 
 taken = []
 for goal, hold in ((before, 0.0), (at, 1.0), (home, 0.5)):

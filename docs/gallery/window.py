@@ -2,9 +2,9 @@
 Through a window
 ================
 
-For an arm that must reach through an opening. The target lies behind a window. ``lieednn-shaped`` first lets a guide
-find a motion that touches nothing, and then encodes its path in a certified network. The page shows the motion, and the
-figure compares every error on the way with the room that there is.
+Reach through an opening: the target is behind a window. ``lieednn-shaped`` first lets a guide find a motion that
+touches nothing, and then encodes its path in a certified network. The page shows the motion, and the figure compares
+every error during the motion with the clearance.
 """
 
 import matplotlib.pyplot as plt
@@ -26,7 +26,7 @@ rollout = ls.simulate(arm, planned, controller="computed-torque", disturbances=l
 ls.render_page(rollout, "motion.html")
 
 # %%
-# ``find_tube`` proves how far all links may be off the planned path, anywhere on the way, and still end at the target
+# ``find_tube`` proves how far all links may deviate from the planned path, at any instant, and still end at the target
 # without contact.
 
 clearance = ls.evaluate(rollout).clearance_mm
@@ -34,7 +34,7 @@ tube = find_tube(arm, planned)
 print(tube)
 
 # %%
-# The network's path is off its guide's by far less than the arm is off its plan.
+# The network's deviation from its guide's path is far smaller than the arm's deviation from its plan.
 
 motion, shown = planned.motion, planned.guide.motion
 network_off = 1e3 * np.linalg.norm(arm.tip(motion.q) - arm.tip(shown.q), axis=1)

@@ -147,11 +147,20 @@ class Collisions:
         """
         used, first, second, limits = turns[:, self._used], self._first, self._second, cutoff + self._offset
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
+        some, reach = np.arange(len(first)), self._reach
+        if len(center) > 4 and len(first) > 2000:
+            # First drop the pairs that are far apart wherever the geoms are in these configurations.
+            low, high = center.min(axis=0), center.max(axis=0)
+            middle, spread = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
+            far = reach + spread.take(first) + spread.take(second) + limits.reshape(-1, len(first)).max(axis=0)
+            away = middle.take(second, axis=0) - middle.take(first, axis=0)
+            some = (np.vecdot(away, away) < np.square(np.maximum(far, 0.0))).nonzero()[0]
+            first, second, reach, limits = (part.take(some, axis=-1) for part in (first, second, reach, limits))
         # The configurations are the last axis, so that `take` copies whole rows.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
         away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
-        near = (apart < np.square(np.maximum(limits + self._reach, 0.0))).ravel().nonzero()[0]
+        near = (apart < np.square(np.maximum(limits + reach, 0.0))).ravel().nonzero()[0]
         at, index = np.divmod(near, len(first))
         limits = limits.take(near if limits.ndim == 2 else index)
         # First a ball against the other one's box, then both boxes along the normals of their faces; `take` needs a
@@ -173,7 +182,7 @@ class Collisions:
         beyond -= np.matvec(cosines, half)
         back -= np.vecmat(self._half.take(one, axis=0), cosines)
         near = (np.maximum(beyond, back).max(axis=1) < limits + _SLACK).nonzero()[0]
-        at, index, limits, last = at[near], index[near], limits[near], -1
+        at, index, limits, last = at[near], some[index[near]], limits[near], -1
         distance, segments = np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
         for row, (k, pair, limit, segment) in enumerate(rows):

@@ -178,7 +178,8 @@ def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 def colliding_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
     """Geom pairs ``(P, 2)`` that pass MuJoCo's collision filter, and the explicit ones."""
-    first, second = np.triu_indices(model.ngeom, k=1)
+    moves = moving_geoms(model)
+    first, second = np.triu(moves[:, None] | moves, k=1).nonzero()
     kind, affinity = model.geom_contype, model.geom_conaffinity
     meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
     first, second = first[meets], second[meets]

@@ -17,6 +17,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
 from lieednn_sim.arm.serial_arm import SerialArm
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, quoted
@@ -72,7 +73,9 @@ def find_grasp(
         if mine[first] and not mine[second]:
             depth = -np.inf if robot[model.geom_bodyid[second]] else min(float(distance), 0.0) - _DEPTH
             offsets[first, second] = min(offsets.get((first, second), 0.0), depth - clearance)
-    hand = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
+    # What moves with the hand, such as its fingers, keeps its distance, whatever that is.
+    group = moved_together(model, arm.space.rate_addresses)
+    hand = group[model.geom_bodyid] == group[carrier]
     stands = np.isin(model.geom_bodyid, allowed)
     for others, offset in ((hand, -np.inf), (stands, -_DEPTH - clearance)):
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):

@@ -160,6 +160,13 @@ class ModelArm(SerialArm):
         return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
 
     @cached_property
+    def unsupported(self) -> Self:
+        """This arm for what is said of distances: a held body has none from what it may touch, as what it stands on."""
+        if self.grasp is None:
+            return self
+        return replace(self, grasp=replace(self.grasp, offsets=dict.fromkeys(self.grasp.offsets, -np.inf)))
+
+    @cached_property
     def _groups(self) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
         """The model for distances of a view, and the pairs of geoms that do not count in it (`rigid_groups`)."""
         if self.qpos_home is None:

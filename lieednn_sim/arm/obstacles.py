@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,6 +31,7 @@ _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
 _FARTHEST, _LARGE = 200.0, 10.0  # largest distances from the origin and from the own centre [m]
+_REACHES = 20.0  # largest distance of an obstacle without a warning [reaches of the arm]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -116,6 +118,9 @@ def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjS
     holder = unused(PREFIX + label, {PREFIX + body.name for body in obstacles.bodies})
     body = spec.worldbody.add_body(name=holder)
     spec.attach(obstacles, prefix=PREFIX, frame=body.add_frame())
+    # MuJoCo keeps all pairs of bodies at once; its own default is too small for 1700.
+    if len(spec.bodies) > 500:
+        spec.memory = max(spec.memory, 2**24 + 5 * len(spec.bodies) ** 2)
 
 
 def _replace_floor(spec: mujoco.MjSpec, arm: SerialArm, asked: str, bits: int) -> None:
@@ -130,9 +135,9 @@ def _replace_floor(spec: mujoco.MjSpec, arm: SerialArm, asked: str, bits: int) -
 
 
 def check_home(arm: SerialArm, scene: str) -> None:
-    """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
-    model = arm.model
-    near = ContactFinder(model, PLANNED_CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
+    """Raise `InputError` where an arm at ``home`` touches one of the obstacles around it; warn of one far away."""
+    model, home = arm.model, kinematics_at(arm.model, arm.qpos(arm.keyframe("home")))
+    near = ContactFinder(model, PLANNED_CLEARANCE).geoms(home.qpos)[1]
     moving, roots = moving_geoms(model), model.body_rootid[model.geom_bodyid]
     for pair in near:
         if moving[pair].sum() == 1 and any(model.body(root).name.startswith(PREFIX) for root in roots[pair]):
@@ -142,6 +147,11 @@ def check_home(arm: SerialArm, scene: str) -> None:
             near_what = f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home"
             unit = " (are its lengths, or its mesh's, in millimetres?)" * bool(model.geom_rbound[pair].max() > _LARGE)
             raise InputError(f"{what} is within {near_what}; move it, or give the arm another home{unit}")
+    away = np.linalg.norm(home.geom_xpos - arm.base.translation, axis=-1) - model.geom_rbound
+    away *= model.geom_rbound > 0.0  # planes have none
+    if (far := away.max()) > _REACHES * arm.reach:
+        said = f"scene {scene!r}: {geom_name(model, int(away.argmax()))!r} is {far:.3g} m from arm {arm.name!r}, which"
+        warnings.warn(f"{said} reaches {arm.reach:.2g} m; lengths are in metres, not millimetres", stacklevel=5)
 
 
 def _goals(model: mujoco.MjModel) -> list[int]:

@@ -90,6 +90,13 @@ class SerialArm:
         return np.asarray(high - low)
 
     @property
+    def reach(self) -> float:
+        """Upper bound of distances of link frames from the base [m]: lengths between frames plus travel of slides."""
+        lengths = np.linalg.norm([self.mounts.translation, self.tips.translation], axis=-1)
+        slides = np.array([unit == "m" for unit in self.space.units])
+        return float(lengths.sum() + np.abs(self.position_limits[slides]).max(axis=1).sum())
+
+    @property
     def jump_speeds(self) -> Floats:
         """Speeds ``(n,)`` beyond which targets jump: the velocity limits, or 10 rad/s or m/s without one."""
         return np.where(np.isfinite(self.velocity_limits), self.velocity_limits, 10.0)

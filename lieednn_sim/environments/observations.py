@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.lie.se3 import bend, skew
 from lieednn_sim.values import Floats
 
 Observation = dict[str, Floats]
 # Lower and upper bounds by name.
 Bounds = dict[str, tuple[Floats, Floats]]
-
-# Indices of the factors in a cross product: of the positive terms, then of the negative ones.
-_LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
-# Smallest divisor; a smaller rotation counts as none.
-_TINY = 1e-100
 
 
 def common_bounds(arm: Arm, frames: int) -> Bounds:
@@ -29,7 +25,7 @@ def common_bounds(arm: Arm, frames: int) -> Bounds:
     slack, velocity = 0.1 * (high - low), 5.0 * arm.velocity_limits
     span = high - low + 2.0 * slack
     # |v| <= (pi / 2) |p| for a pose with translation p, whose length is at most twice the reach.
-    twist = np.tile(np.repeat([np.pi, np.pi * reach(arm)], 3), (frames, 1))
+    twist = np.tile(np.repeat([np.pi, np.pi * arm.reach], 3), (frames, 1))
     return {
         "position": (low - slack, high + slack),
         "velocity": (-velocity, velocity),
@@ -38,13 +34,6 @@ def common_bounds(arm: Arm, frames: int) -> Bounds:
         "approach": (-np.ones_like(span), np.ones_like(span)),
         "pose_error": (-twist, twist),
     }
-
-
-def reach(arm: Arm) -> float:
-    """Upper bound of the distance of link frames from the base [m]: lengths between frames plus travel of slides."""
-    lengths = np.linalg.norm(arm.mounts.translation, axis=-1) + np.linalg.norm(arm.tips.translation, axis=-1)
-    slides = np.array([unit == "m" for unit in arm.space.units])
-    return float(lengths.sum() + np.abs(arm.position_limits[slides]).max(axis=1).sum())
 
 
 class Target(NamedTuple):
@@ -156,27 +145,17 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
 
     The twists (omega, v) are ``(..., F, 6)`` [rad, m]; then the largest distance ``(...)`` [m] and angle [rad].
 
-    The same as `lie.log`, in a tenth of the time for one frame. If the relative rotation has the unit quaternion
-    (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and the relative translation p,
-    v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p).
+    The same as `lie.log`, in half of its time for one frame: by MuJoCo's difference of quaternions, and few calls.
     """
-    place = np.vecmat(goals[..., :3] - frames[..., :3], frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3))
-    own, goal = frames[..., 12:], goals[..., 12:]
-    cosine = np.vecdot(own, goal)
-    axis = own[..., :1] * goal[..., 1:] - goal[..., :1] * own[..., 1:] - _cross(own[..., 1:], goal[..., 1:])
-    sine = np.sqrt(np.vecdot(axis, axis))
-    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
-    omega = np.copysign(angle / np.maximum(sine, _TINY), cosine)[..., None] * axis
-    turned = _cross(omega, place)
-    # Cancellation for small angles does no harm here, since the result is multiplied by their squares.
-    half = np.maximum(0.5 * angle, _TINY)
-    bend = (1.0 - half / np.tan(half)) / (4.0 * half * half)
-    twist = np.concatenate([omega, place - 0.5 * turned + bend[..., None] * _cross(omega, turned)], axis=-1)
-    distance = np.sqrt(np.vecdot(place, place))
+    twist = np.empty((*frames.shape[:-1], 6))
+    ends = twist.reshape(-1, 6), goals.reshape(-1, 16), frames.reshape(-1, 16)
+    for row, goal, own in zip(*ends, strict=True):
+        mujoco.mju_subQuat(row[:3], goal[12:], own[12:])
+    omega, place = twist[..., :3], goals[..., :3] - frames[..., :3]
+    place = np.vecmat(place, frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3))
+    square, turn = np.vecdot(omega, omega), skew(omega)
+    turned = np.matvec(turn, place)
+    twist[..., 3:] = place - 0.5 * turned + bend(square)[..., None] * np.matvec(turn, turned)
     # Array methods would call the same reductions through Python.
+    distance, angle = np.sqrt(np.vecdot(place, place)), np.sqrt(square)
     return twist, np.maximum.reduce(distance, axis=-1), np.maximum.reduce(angle, axis=-1)
-
-
-def _cross(first: Floats, second: Floats) -> Floats:
-    products = first.take(_LEFT, axis=-1) * second.take(_RIGHT, axis=-1)
-    return np.asarray(products[..., :3] - products[..., 3:])

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.observations import Bounds, Target, goal_frames, reach
+from lieednn_sim.environments.observations import Bounds, Target, goal_frames
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.typecheck import typecheck_public
@@ -39,7 +39,7 @@ class Closeness:
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
-        self._farthest = np.array([reach(task.arm), np.pi])
+        self._farthest = np.array([task.arm.reach, np.pi])
         allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
         # Margins of the near part, then of the fine part [m, rad].
         margins = 0.05, 0.1, 0.005, 0.01

@@ -36,7 +36,8 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     t), has v / r to go. Arms led by mocap bodies instead of servos have no such causes. No servo is at fault if the
     reference itself ends elsewhere, such as that of a policy that has not arrived.
 
-    A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
+    A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst; first,
+    whether links end elsewhere than the joints have them, as on a base that falls.
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
     if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque", "feedback-linearisation"):
@@ -45,9 +46,14 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     distance = np.linalg.norm(alone.translation, axis=-1).max(axis=1)
     angle = np.asarray(alone.rotation.magnitude()).max(axis=1)
     matters = np.maximum(distance / SETTLED_TRANSLATION, angle / SETTLED_ROTATION)
-    ranked = np.argsort(-matters, kind="stable")[: max(1, int((matters > 1.0).sum()))]
+    carried, lines = arm.link_poses(rollout.q[-1]).inv() * rollout.link_poses()[-1], list[str]()
+    off = np.linalg.norm(carried.translation, axis=-1).max(), float(carried.rotation.magnitude().max())
+    if off[0] > SETTLED_TRANSLATION or off[1] > SETTLED_ROTATION:
+        far = f"a link ends {1e3 * off[0]:.3g} mm and {np.rad2deg(off[1]):.3g} degrees from where the joints have it"
+        lines = [f"{far}: what carries the arm has moved, or an equality of the model gives way"]
+    ranked = np.argsort(-matters, kind="stable")[: max(1 - len(lines), int((matters > 1.0).sum()))]
     result, helpful = _reasons(rollout, error)
-    lines = [
+    lines += [
         f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
         + ("; ".join(result[j]) or "no contact, range, friction, load or force limit of the model explains it")

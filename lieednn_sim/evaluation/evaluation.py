@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass, field, fields
 
 import numpy as np
@@ -17,6 +18,7 @@ from lieednn_sim.versions import versions
 
 # A frame has settled if it stays this close to its target [m, rad].
 SETTLED_TRANSLATION = 1e-3
+LOST = 50.0  # what moves by more in the hand is not held [mm]
 SETTLED_ROTATION = float(np.deg2rad(0.1))
 
 
@@ -127,6 +129,7 @@ class Evaluation:
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
         sequence: whether the run is that of a sequence; its contacts are shown, but are no failure: grasps are such.
+        slips_mm: the most that each body held by a sequence has moved in the hand, by the names of the bodies.
         load: what the motion left swinging and bending; None for an arm without such parts.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
@@ -162,6 +165,7 @@ class Evaluation:
     proved: bool = False
     load: LoadMetrics | None = None
     sequence: bool = False
+    slips_mm: Mapping[str, float] = field(default_factory=dict)
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -204,9 +208,12 @@ class Evaluation:
 
     @property
     def shortfall(self) -> str:
-        """Why the rollout is no success, or "": a contact outside of sequences, or a link that ends off its target."""
+        """Why it is no success, or "": a contact outside of sequences, what a hand lost, or a link off its target."""
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
+        for body, slip in self.slips_mm.items():
+            if slip > LOST:
+                return f"hold: {body!r} moves by {slip:.3g} mm in the hand that should hold it"
         for frame in self.frames:
             if not frame.arrived:
                 return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
@@ -217,6 +224,8 @@ class Evaluation:
         """Whether the arm ended at its target and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
         touched = f"{self.contacts} contacts at a time, " if self.contacts else ""
+        if self.shortfall.startswith("hold"):
+            return f"fails: {self.shortfall}"
         if self.shortfall:
             return f"fails: {touched}a link ends {off}"
         return f"arrives after {_seconds(self.settling_s)} s, {touched}ends {off}"
@@ -227,6 +236,8 @@ class Evaluation:
         rate, force, torque = self.reference_rate, self.peak_weld_force_n, self.peak_weld_torque_n_m
         conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *self.disturbances.conditions]
         lines = [f"conditions: {', '.join(conditions)}"] if conditions else []
+        if late := len(self.disturbances.pushes) - len(self.recoveries):
+            lines.append(f"pushes after the end of the run, which did nothing: {late}")
         extremes = []
         if self.contacts:
             extremes.append(f"contact force up to {rounded(self.peak_contact_force_n)} N")
@@ -238,6 +249,8 @@ class Evaluation:
             extremes.append(f"forces up to {planned:.0%} of a limit as planned, {self.force_fraction:.0%} exerted")
         if extremes:
             lines.append("; ".join(extremes))
+        if slips := [f"{body!r} by {rounded(slip)} mm" for body, slip in self.slips_mm.items()]:
+            lines.append(f"moves in the hand: {', '.join(slips)}")
         if self.load:
             lines.append(f"after the motion: {self.load}")
         if self.causes:

@@ -27,6 +27,7 @@ from lieednn_sim.evaluation.load import load_metrics
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.statics import force_use
 from lieednn_sim.simulation import Following, Rollout
+from lieednn_sim.simulation.rollout import SLIP
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
@@ -49,7 +50,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     tip = rollout.link_position[:, -1]
     # Every fifth sample (10 ms at the arms' step), and all samples with a contact.
     chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
-    least = Collisions(arm).nearest_at(rollout.qpos[chosen])[0] if clearance else np.inf
+    least = Collisions(arm.unsupported).nearest_at(rollout.qpos[chosen])[0] if clearance else np.inf
     proof = rollout.clearance if clearance else None
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
@@ -74,6 +75,9 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
         sequence=bool(rollout.steps),
+        slips_mm={
+            name.removeprefix(SLIP): 1e3 * float(far.max()) for name, far in rollout.channels.items() if SLIP in name
+        },
         peak_contact_force_n=float(rollout.contact_force.max()),
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),

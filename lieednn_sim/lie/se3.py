@@ -116,14 +116,18 @@ def turn_of(turns: Floats) -> Floats:
 def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:
     """The v with J(omega) v = p + R q, in inner loops, from p + q and p - q; components ``(3, M)``, unchecked.
 
-    J^-1 = I - hat(omega) / 2 + k hat(omega)^2, k = (1 - a/2 cot(a/2)) / a^2; in J^-1 R omega has the other sign.
+    J^-1 = I - hat(omega) / 2 + k hat(omega)^2, with k of `bend`; in J^-1 R omega has the other sign.
     """
     square = np.add.reduce(omega * omega)
-    # Cancellation in the coefficient costs nothing here either.
+    twice = np.add.reduce(omega * total) * omega - square * total
+    return np.asarray(total - 0.5 * _cross(omega, difference) + bend(square) * twice)
+
+
+def bend(square: Floats) -> Floats:
+    """The k = (1 - a/2 cot(a/2)) / a^2 from a^2; what cancels at small angles costs nothing in `linear_part`."""
     safe = np.maximum(square, 1e-8)
     half = 0.5 * np.sqrt(safe)
-    twice = np.add.reduce(omega * total) * omega - square * total
-    return np.asarray(total - 0.5 * _cross(omega, difference) + (1.0 - half / np.tan(half)) / safe * twice)
+    return np.asarray((1.0 - half / np.tan(half)) / safe)
 
 
 def continued(twists: Floats) -> Floats:

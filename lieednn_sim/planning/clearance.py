@@ -26,12 +26,12 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, frozen, weakly_cached
 
-# Least number of first intervals; the longest way in one of them, beyond which a proof is rare [rad, m]; and how many #
+# Least number of first intervals; the longest way in one of them, beyond which a proof is rare [rad, m]; and how many
 # bounds are worth while, besides one for every fourth sample.
 _FIRST, _WAY, _MOST = 16, 0.2, 256
 # Intervals shorter than this fraction of a step are not divided.
 _SHORTEST = 1.0 / 4096.0
-# Distance beyond which nothing is measured, and the least cutoff of measurements [m]; and the fraction of the least #
+# Distance beyond which nothing is measured, and the least cutoff of measurements [m]; and the fraction of the least
 # measured distance that the proved clearance must reach.
 FAR, NEAR, _SHARP = 0.1, 1e-4, 0.95
 
@@ -211,7 +211,7 @@ def proved_clearance(
     own: bool = True,
     others: bool = False,
 ) -> Clearance:
-    """Bound the distances from contact along a motion, at every instant.
+    """Bound the distances from contact along a motion, at every instant; a held body may touch what it stands on.
 
     Args:
         arm, t, q, qd: as for `check_clearance`.
@@ -220,7 +220,7 @@ def proved_clearance(
         own: whether the arm's own parts, its base included, count against each other.
         others: whether `Clearance.others` is found, for those who read it.
     """
-    bounds, step = bounds_of(arm, own), float(t[1] - t[0])
+    bounds, step = bounds_of(arm.unsupported, own), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)

@@ -31,7 +31,7 @@ _FADING = np.array(
     [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
 ).T.copy()
 _POWERS = np.arange(6.0)[:, None]
-# Maps the coefficients of a polynomial, the lowest power first, to those of itself and its first two derivatives: #
+# Maps the coefficients of a polynomial, the lowest power first, to those of itself and its first two derivatives:
 # ``(18, 6)``, the three rows of each power next to each other.
 _DERIVATIVES = np.hstack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), k) for k in range(3)]).reshape(18, 6)
 # Fraction of the limits of velocity and acceleration that a base may use alone, and together with the corrections.

@@ -31,7 +31,7 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 _SMALLEST = 1e-4  # smallest size at which the projection is bounded [m]
-# Differences of a motion's states and joints from those computed again [rad, m]: what integration leaves in any case, #
+# Differences of a motion's states and joints from those computed again [rad, m]: what integration leaves in any case,
 # and the largest for which the motion still counts as its network's path. The tube allows for them.
 _INTEGRATED, _SAME = 1e-6, 5e-5
 

@@ -135,6 +135,13 @@ class Disturbances:
         """What loads the arm without the controller's knowledge, in words; loads can hold a joint off its target."""
         return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
 
+    def late(self, end: float, timestep: float) -> str:
+        """What is said of a push that begins when a run is over [s]; empty without one."""
+        # No step begins at the end; times are rounded to the nearest step.
+        push = next((push for push in self.pushes if push.start >= end - 0.5 * timestep), None)
+        at = push and f"the push on {push.body!r} at {push.start:g} s"
+        return f"{at} would begin when the run is over, at {end:g} s" if at else ""
+
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
         """The inverse of `dataclasses.asdict`; raises InputError for malformed values."""
@@ -149,10 +156,8 @@ class Disturbances:
 def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
     """The given disturbances, or none; `InputError` for a push that begins after the ``end`` of a run [s]."""
     given = Disturbances() if disturbances is None else disturbances
-    # No step begins at the end; times are rounded to the nearest step.
-    if late := next((push for push in given.pushes if push.start >= end - 0.5 * timestep), None):
-        at = f"the push on {late.body!r} at {late.start:g} s"
-        raise InputError(f"{at} would begin when the run is over, at {end:g} s")
+    if late := given.late(end, timestep):
+        raise InputError(late)
     return given
 
 

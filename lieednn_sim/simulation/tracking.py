@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -24,9 +26,9 @@ from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances, before
-from lieednn_sim.simulation.log import ChannelSource, Log
+from lieednn_sim.simulation.log import Channel, ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.simulation.rollout import Rollout
+from lieednn_sim.simulation.rollout import SLIP, Rollout
 from lieednn_sim.simulation.simulation import Simulation, make_plant
 from lieednn_sim.validation import as_nonnegative, as_positive
 from lieednn_sim.values import Floats
@@ -129,11 +131,13 @@ def simulate(
             proof of its clearance.
 
     Raises:
-        InputError: the motion does not fit the model; two channels have one name; a push begins when the run is over,
-            which is known only at the end of a sequence; or ``stop_outside`` is asked for, but the motion has no proof,
-            is a sequence, or obstacles move.
+        InputError: the motion does not fit the model; two channels have one name; a push begins when the run is over;
+            or ``stop_outside`` is asked for, but the motion has no proof, is a sequence, or obstacles move.
         SimulationError: MuJoCo warns, a state is not finite, an event of a sequence does not come in time, or the run
             left its proof; the error has the run up to there.
+
+    Warns:
+        UserWarning: events of a sequence came so soon that a push was still to begin when the run was over.
     """
     arm, sequence = as_loaded(arm, motion), motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
@@ -146,7 +150,8 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    changes = before(np.inf if sequence else (total - 1) * arm.timestep, arm.timestep, disturbances)
+    latest = (total - 1) * arm.timestep + (0.0 if sequence is None else sequence.longest_delay)
+    changes = before(latest, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None
@@ -160,7 +165,8 @@ def simulate(
         if not isinstance(motion, Motion) or changes.obstacles:
             raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
         monitor = ClearanceMonitor.of(arm, motion)
-    record, play = Log(simulation, driver, *log), None if sequence is None else _Play(sequence, simulation, rest)
+    play = None if sequence is None else _Play(sequence, simulation, rest)
+    record = Log(simulation, driver, *log, *([] if play is None else play.slips()))
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
@@ -182,8 +188,9 @@ def simulate(
                 error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
     if play is not None:
-        before((len(seen) - 1) * arm.timestep, arm.timestep, changes)
         end, meta["steps"] = play.end, tuple(play.begun)
+        if late := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
+            warnings.warn(late, stacklevel=3)  # through the check of arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
@@ -206,13 +213,31 @@ class _Play:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest
         self.begun: list[tuple[float, str]] = []
         self.end = float(sequence.t[-1])
+        self._held, self._place = "", np.zeros(3)
+
+    def slips(self) -> list[Channel]:
+        """How far each body that moves hold is from where they had it in the hand at their beginnings."""
+        steps = [part.step for part in self._sequence.parts]
+        held = dict.fromkeys(step.holding for step in steps if isinstance(step, Move) and step.holding)
+
+        def slip(body: str, data: mujoco.MjData) -> float:
+            return float(np.linalg.norm(self._in_hand(data) - self._place)) if body == self._held else 0.0
+
+        return [Channel(f"{SLIP}{body}", "m", partial(slip, body)) for body in held]
+
+    def _in_hand(self, data: mujoco.MjData) -> Floats:
+        """Where the held body is in the frame of the body that carries it ``(3,)`` [m]."""
+        hand = int(self._sequence.arm.frames.bodies[-1])
+        return np.asarray((data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3))
 
     def rows(self) -> Iterator[int]:
         """The row of the sequence to track in each step; the caller does the step before it asks for the next row."""
         sequence, simulation = self._sequence, self._simulation
         for number, part in enumerate(sequence.parts):
             self.begun.append((simulation.time, part.step.name))
+            self._held = part.step.holding or "" if isinstance(part.step, Move) else ""
             if isinstance(part.step, Move):
+                self._place = self._in_hand(simulation.data) if self._held else self._place
                 yield from range(part.first, part.last)
                 continue
             gripping, done = Gripping(sequence.arm, simulation.model, part.step), 0

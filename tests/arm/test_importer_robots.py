@@ -269,6 +269,14 @@ def test_faults_that_drawings_leave_in_an_urdf_are_named(tmp_path):
     path.write_text(URDF.replace('<parent link="foot"/>', '<parent link="tube2"/>'))
     with pytest.raises(InputError, match=r"derrick\.urdf: links carry each other in a circle: .*tube2.*; take out one"):
         Arm.load(path)
+    for old, new, message in (
+        ('<child link="tube2"/>', '<child link="tube1"/>', "link 'tube1' is the child of several joints, a loop"),
+        ('<parent link="foot"/>', '<parent link="feet"/>', "joint 'turn' is of a link 'feet' that is not there"),
+    ):
+        assert old in URDF
+        path.write_text(URDF.replace(old, new))
+        with pytest.raises(InputError, match=message):
+            Arm.load(path)
     path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz="300 0 400"'))
     assert any("m large: are its lengths in millimetres?" in remark for remark in Arm.load(path).import_report.remarks)
 

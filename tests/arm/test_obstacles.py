@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.obstacles import describe, load_obstacles
@@ -212,6 +214,37 @@ def test_a_scene_is_a_file_that_is_there_and_no_name_of_the_packages(gantry, tmp
     around = gantry.with_scene(write(tmp_path, "own.json", {"obstacles": [BOX]}))
     with pytest.raises(InputError, match="already has the obstacles of scene 'own'"):
         around.with_scene("poles")
+
+
+def test_of_an_obstacle_far_beyond_reach_it_is_asked_whether_that_is_millimetres(gantry, tmp_path):
+    far = 20.0 * gantry.reach + 0.2 * np.sqrt(14.0) / 2.0  # and half of the box's diagonal
+    for more, warns in ((-0.05, False), (0.05, True)):
+        place = np.add(gantry.base.translation, [far + more, 0.0, 0.0])
+        path = write(tmp_path, "apart.json", {"obstacles": [BOX | {"position": place.tolist()}]})
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            gantry.with_scene(path)
+        assert [str(each.message).count("'obstacle_box0' is") for each in told] == [1] * warns
+
+
+def test_thousands_of_obstacles_are_a_scene_and_the_nearest_of_them_is_found(tmp_path):
+    """MuJoCo's broad phase needs more memory than the arms ask for; many configurations at once are sorted out."""
+    rng = np.random.default_rng(0)
+    angle, height = rng.uniform(0.0, 2.0 * np.pi, 1600), rng.uniform(0.0, 3.0, 1600)
+    places = np.stack([3.5 * np.cos(angle), 3.5 * np.sin(angle), height], axis=1).tolist()
+    balls = [{"shape": "sphere", "radius": 0.01, "position": place} for place in places]
+    arm = Arm.load("telescopic_pr", write(tmp_path, "balls.json", {"obstacles": balls}))
+    collisions, random = Collisions(arm), rng.uniform(*arm.position_limits.T, (12, arm.n_joints))
+    assert collisions.clearance(random) == pytest.approx(min(map(collisions.clearance, random)), abs=2e-6)
+    data, places, turns = mujoco.MjData(arm.geometry), [], []
+    for data.qpos[:] in arm.qpos(random):
+        mujoco.mj_kinematics(arm.geometry, data)
+        places.append(data.geom_xpos.copy())
+        turns.append(data.geom_xmat.reshape(-1, 3, 3).copy())
+    together = collisions.separations(np.array(places), np.array(turns), 1.5)
+    each = [collisions.separations(one[None], turn[None], 1.5) for one, turn in zip(places, turns, strict=True)]
+    assert len(together[0]) > 100
+    np.testing.assert_array_equal(together[1], np.concatenate([index for _, index, _, _ in each]))
 
 
 def test_in_a_model_without_a_spec_obstacles_move_and_grow_as_in_one(gantry):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.environments.base import Commands
-from lieednn_sim.environments.observations import Observations, common_bounds, reach
+from lieednn_sim.environments.observations import Observations, common_bounds
 from lieednn_sim.environments.tasks import make_task
 
 
@@ -64,7 +64,7 @@ def test_bounds_by_hand(gantry):
         np.testing.assert_allclose(found[name], ends, err_msg=name)
     limits = gantry.position_limits.copy()
     limits[2] = [-4.0, -3.0]
-    assert reach(replace(gantry, position_limits=limits)) == pytest.approx(8.0)
+    assert replace(gantry, position_limits=limits).reach == pytest.approx(8.0)
 
 
 def test_commands_move_by_the_velocity_limit_at_most_either_way(gantry):

@@ -1,5 +1,6 @@
 """Errors whose causes are known, on a hoist of two slides with simple numbers."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,6 +95,18 @@ def test_the_joint_that_matters_most_is_first_and_what_helps_does():
     told = moved(controller="inverse-dynamics", **changes)
     assert told.causes == ()
     assert told.final_worst_mm < 1e-6
+
+
+def test_a_base_that_falls_is_the_first_cause(tmp_path):
+    """A trolley of 50 kg, 20 mm over the ground, with a slide on it: nobody holds it up."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body name="trolley" pos="0 0 .12"><freejoint/>
+        <geom type="box" size=".3 .3 .1" mass="50"/><body pos="0 0 .2"><joint name="x" type="slide" axis="1 0 0"
+        range="-1 1"/><geom type="box" size=".05 .05 .05" mass=".1"/></body></body></worldbody></mujoco>"""
+    )
+    arm = Arm.of(model, mujoco.MjData(model), ["x"])
+    (first,) = evaluate(simulate(arm, plan(arm, [0.05], duration=1.0))).causes
+    assert re.match(r"a link ends 20\.\d mm and .* from where the joints have it: what carries the arm", first)
 
 
 @pytest.mark.parametrize("controller", ["inverse-dynamics", "feedback-linearisation"])

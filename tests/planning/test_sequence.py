@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import lieednn_sim as ls
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.models import models_directory
 from lieednn_sim.errors import InputError, PlanError, SimulationError
 
@@ -118,18 +117,35 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     assert box.translation[:, 2].max() > 0.45
     np.testing.assert_allclose(box[-1].translation, PLACE, atol=3e-3)
     assert run.t[-1] == pytest.approx(run.motion_end + 0.5)
+    evaluation = ls.evaluate(run)
+    assert 0.1 < evaluation.slips_mm["box"] < 20.0
+    assert evaluation.shortfall == ""
+    smooth, data = cell()
+    smooth.geom_friction[:, 0] = 0.02
+    lost = ls.evaluate(ls.simulate(ls.Arm.of(smooth, data, JOINTS, tip="grasp", limits=LIMITS), found))
+    assert lost.arrival == f"fails: hold: 'box' moves by {lost.slips_mm['box']:.3g} mm in the hand that should hold it"
     # Fingers that close later or sooner than planned only shift what follows.
     assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
 
 
-def test_a_push_after_the_end_of_a_sequence_is_refused(planned):
-    short = sequence(*planned[:2], [ls.Actuate(CLOSED, 0.1)])
-    step = short.arm.timestep
-    for start, late in ((0.2 - step, False), (0.2, True)):
+def test_a_push_after_the_end_of_a_sequence_is_refused_before_the_run_or_told_after_it(planned, monkeypatch):
+    def simulated(found, start):
         changes = ls.Disturbances(pushes=(ls.Push("box", (0.0, 0.0, 1.0), start, 1.0),))
-        with pytest.raises(InputError, match=r"begin when the run is over, at 0\.2 s") if late else nullcontext():
-            ls.simulate(short.arm, short, hold=0.1, disturbances=changes)
+        return ls.simulate(found.arm, found, hold=0.1, disturbances=changes)
+
+    timed = sequence(*planned[:2], [ls.Actuate(CLOSED, 0.1)])
+    # An event ends the second one, after about 0.18 s: only 0.1 s after the longest wait is no push possible.
+    event = sequence(*planned[:2], [ls.Actuate(CLOSED, 1.0, until="settled")])
+    simulated(timed, 0.2 - timed.arm.timestep)
+    with pytest.warns(UserWarning, match=r"begin when the run is over, at 0\.\d+ s"):
+        run = simulated(event, 1.1 - timed.arm.timestep)
+    assert run.t[-1] < 0.9
+    assert "pushes after the end of the run, which did nothing: 1" in str(ls.evaluate(run))
+    monkeypatch.setattr("lieednn_sim.simulation.tracking.Log", None)
+    for found, end in ((timed, 0.2), (event, 1.1)):
+        with pytest.raises(InputError, match=rf"begin when the run is over, at {end} s"):
+            simulated(found, end)
 
 
 def test_an_event_that_does_not_come_ends_planning_and_run(planned):
@@ -179,6 +195,16 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
     aside = planned_in(model, state, down(0.62, -0.40, 0.225), holding="box", **how)
     assert aside.qpos[:, 2].min() > 0.22 - 1e-3
     assert aside.qpos[-1, 2] == pytest.approx(0.22, abs=2e-4)
+    # What is said of distances is of what may not be touched: by MuJoCo, at some instants.
+    assert aside.proved
+    shown, far, may = mujoco.MjData(model), np.inf, {"table", "left", "right", "hand"}
+    for shown.qpos[:] in aside.qpos[::50]:
+        mujoco.mj_kinematics(model, shown)
+        for pair in Collisions(ls.Arm.of(model, state, JOINTS, tip="grasp")).pairs:
+            names = {model.body(model.geom_bodyid[geom]).name for geom in pair}
+            if not ("box" in names and names & may):
+                far = min(far, mujoco.mj_geomDistance(model, shown, *pair, 0.1, None))
+    assert 0.9 * far < aside.clearance.bound <= far
     for goal, holding, message in (
         (down(0.62, -0.40, 0.222), "box", "'box'.*'table'|'table'.*'box'"),
         (CARRY.goal, "box", "'box'.*'shelf'|'shelf'.*'box'"),

@@ -13,7 +13,14 @@ def test_weights_by_hand():
     np.testing.assert_allclose(weights(np.full(4, 7.0), 0.3), 0.25)
 
 
-def test_rollouts_go_where_velocities_lead_and_see_what_is_near(gantry):
+@pytest.mark.parametrize("limited", [False, True])
+def test_rollouts_go_where_velocities_lead_and_see_what_is_near(gantry, limited):
+    """Also with limits of force, as every URDF's efforts are, which do not count in the policy's own model."""
+    if limited:
+        spec = gantry.copied_spec()
+        for joint in spec.joints:
+            joint.actfrclimited, joint.actfrcrange = True, (-10.0, 10.0)
+        gantry = gantry.recompiled(spec)
     rng = np.random.default_rng(0)
     start, velocities = np.array([0.2, -0.3, -0.6, 0.5]), rng.normal(size=(3, 5, 4))
     velocities[:, :, 2] = -0.9

@@ -199,9 +199,18 @@ def check_size(source: Path) -> None:
 
 
 def _check_links(robot: ElementTree.Element, path: Path) -> None:
-    """Raise `InputError` for links of a URDF that carry each other in a circle; MuJoCo's message names none."""
-    joints = ((joint.find("child"), joint.find("parent")) for joint in robot.iterfind("joint"))
-    carriers = {a.get("link"): [b.get("link")] for a, b in joints if a is not None and b is not None}
+    """Raise `InputError` for links of a URDF that are missing, or in a loop; MuJoCo's message names none."""
+    links, carriers = {link.get("name") for link in robot.iterfind("link")}, dict[str | None, list[str | None]]()
+    for joint in robot.iterfind("joint"):
+        ends = [end.get("link") for tag in ("child", "parent") for end in joint.findall(tag)]
+        if len(ends) != 2:
+            continue  # MuJoCo tells
+        child, parent = ends
+        if missing := {child, parent} - links:
+            raise InputError(f"{path}: joint {joint.get('name')!r} is of a link {missing.pop()!r} that is not there")
+        if child in carriers:
+            raise InputError(f"{path}: link {child!r} is the child of several joints, a loop; take out all but one")
+        carriers[child] = [parent]
     try:
         TopologicalSorter(carriers).prepare()
     except CycleError as error:
