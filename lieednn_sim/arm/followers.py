@@ -100,7 +100,7 @@ def straight_lines(followers: Sequence[Follower], independent: Sequence[int]) ->
 def in_closed_form(
     model: mujoco.MjModel, equalities: Sequence[int], independent: Sequence[int]
 ) -> tuple[list[Follower], dict[int, int | None], list[int]]:
-    """Followers, each after its leader; the independent joint that each joint follows, or None; other equalities."""
+    """Followers, each after its leader; the independent joint that each joint follows, or None; the rest."""
     roots: dict[int, int | None] = {joint: joint for joint in independent}
     followers, remaining, tied = [], list(equalities), int(mujoco.mjtEq.mjEQ_JOINT)
     while True:

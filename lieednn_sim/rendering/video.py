@@ -31,7 +31,7 @@ from lieednn_sim.values import StrPath
 __all__ = ["render_video"]
 
 _PLAIN = Picture.Dither.NONE
-_STILL = 1e-5  # what moves by less between frames [m, rad] is not rendered again, which takes nearly all of the time
+_STILL = 1e-5  # a frame that differs by less [m, rad] is not rendered again: rendering takes nearly all of the time
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
 
 
@@ -55,11 +55,11 @@ def render_video(
     preset: str = "nice",
     title: str = "",
 ) -> int:
-    """Render a video of a rollout, with planned link frames, and the paths of the end effector and of what hangs.
+    """Render a video of a rollout, with planned link frames, and the paths of the end effector and of a hanging load.
 
-    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, what is
-    proved of the clearance then, and a colour legend. The model of a view is shown as it is, with all that moves; the
-    caption names a sequence's step.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, the
+    proved clearance at that time, and a colour legend; in a sequence it names the step. The model of a view is shown as
+    it is, with everything that moves.
 
     Args:
         rollout: the rollout, whose target the marker shows.
@@ -67,7 +67,7 @@ def render_video(
         camera: name of a camera of the scene, as in `Camera` (default: overview, if there is one, else a view of all).
         size: (width, height) in pixels.
         fps: frames per second of simulated time.
-        preset: a name of `PRESETS`: ``draft``, which is faster, or ``nice``.
+        preset: ``draft``, which is faster, or ``nice``.
         title: first line of the caption, such as the planner's name.
 
     Returns:

@@ -13,7 +13,7 @@ import lieednn_sim as ls
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import figure_layout, plots
+from lieednn_sim.evaluation import figure_layout, joint_plots, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
 from lieednn_sim.learning.training import History
 from lieednn_sim.planning.motion import Motion
@@ -130,7 +130,7 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
     q[:, 1] += [0.0, 0.002, 0.001]
     rates = np.zeros_like(q)
     rates[1, :2] = [0.25, -0.5] * arm.velocity_limits[:2]
-    plots.plot_joints(replace(rollout_of(arm, q, reference), qd=rates), "joints.png")
+    joint_plots.plot_joints(replace(rollout_of(arm, q, reference), qd=rates), "joints.png")
     rows = np.array(drawn[0].axes).reshape(-1, 4)
     turn, lift = rows[0], rows[1]
     assert turn[1].lines[0].get_ydata() == pytest.approx([0.0, 0.5, 0.2])

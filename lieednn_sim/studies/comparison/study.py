@@ -30,7 +30,7 @@ DEFAULT_SCENES = (FREE, "window")
 class Shard:
     """A part of a comparison's cases, for a machine that shares only a disk; `InputError` if there is no such shard.
 
-    The shard of a case depends on the name of the case alone; numbers start at 1.
+    The shard of a case depends only on the name of the case; numbers start at 1.
     """
 
     number: int
@@ -74,7 +74,7 @@ class Comparison(Study[Row]):
         scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
         controllers: a name of `CONTROLLERS`, or several; by default position-servo,inverse-dynamics.
         seeds: number of seeds for each arm, scene and planner.
-        first_seed: the first of them; another one makes fresh problems.
+        first_seed: first seed; another one gives other problems.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
         slow_seeds: number of seeds of the planners whose cases take more than a second (``cost`` above `SLOW`), at
             most ``seeds``; by default as many.
@@ -104,7 +104,7 @@ class Comparison(Study[Row]):
     def __post_init__(self) -> None:
         user_files = list(self.user_files)
         for value in self.planners:
-            PLANNERS.find(value)  # which adds those of files
+            PLANNERS.find(value)  # this adds planners from files
         for value in self.controllers:
             CONTROLLERS.find(value)
         for name, known, default in (
@@ -145,7 +145,7 @@ class Comparison(Study[Row]):
         return Table(as_path("the name of a comparison's directory", directory) / f"{cls.name}{SUFFIX}", cls.kind)
 
     def cases(self) -> list[Case]:
-        """The cases of the shard, or all, but for those of `absent` planners."""
+        """The cases of the shard, by default all, without those of `absent` planners."""
         usable = [name for name in self.planners if name not in self.absent]
         few = self.first_seed + (self.seeds if self.slow_seeds is None else self.slow_seeds)
         seeds = range(self.first_seed, self.first_seed + self.seeds)
@@ -166,9 +166,9 @@ class Comparison(Study[Row]):
 def merge(directory: StrPath, folders: Sequence[StrPath]) -> Table[Row]:
     """Add the rows of other comparisons, such as the shards of one, to the table in a directory.
 
-    The directory is created if it is missing; it may hold rows already, which stay. The folders of the other tables may
-    be incomplete or still grow. `FileError` if one holds no comparison, or cannot be merged (see `Table.merge`); the
-    rows of the folders before it are kept.
+    The directory is created if it is missing; rows that it already holds stay. The other tables may be incomplete or
+    still growing. `FileError` if a folder holds no comparison, or cannot be merged (see `Table.merge`); the rows of the
+    folders before it are kept.
     """
     if not folders:
         raise InputError("there is nothing to merge: give the folders of other comparisons")
@@ -190,7 +190,7 @@ def compare(
     settings: Settings | None = None,
     jobs: int = 1,
 ) -> Table[Row]:
-    """Compare planners in a table, of which the rows that the directory lacks are computed.
+    """Compare planners in a table; rows that the directory's table lacks are computed.
 
     ::
 
