@@ -1,4 +1,4 @@
-"""Time laws: how fast a motion follows its path; `retiming` finds the fastest within the arm's limits."""
+"""Time laws: how fast a motion follows its path. `retiming` finds the fastest law within the arm's limits."""
 
 from __future__ import annotations
 
