@@ -73,7 +73,7 @@ def find_grasp(
         if mine[first] and not mine[second]:
             depth = -np.inf if robot[model.geom_bodyid[second]] else min(float(distance), 0.0) - _DEPTH
             offsets[first, second] = min(offsets.get((first, second), 0.0), depth - clearance)
-    # What moves with the hand, such as its fingers, keeps its distance, whatever that is.
+    # Parts that move with the hand, such as its fingers, keep their distance, so any distance is allowed.
     group = moved_together(model, arm.space.rate_addresses)
     hand = group[model.geom_bodyid] == group[carrier]
     stands = np.isin(model.geom_bodyid, allowed)

@@ -145,7 +145,7 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
 
     The twists (omega, v) are ``(..., F, 6)`` [rad, m]; then the largest distance ``(...)`` [m] and angle [rad].
 
-    The same as `lie.log`, in half of its time for one frame: by MuJoCo's difference of quaternions, and few calls.
+    The same as `lie.log`, in half its time for one frame, by MuJoCo's difference of quaternions and few calls.
     """
     twist = np.empty((*frames.shape[:-1], 6))
     ends = twist.reshape(-1, 6), goals.reshape(-1, 16), frames.reshape(-1, 16)

@@ -199,12 +199,12 @@ def check_size(source: Path) -> None:
 
 
 def _check_links(robot: ElementTree.Element, path: Path) -> None:
-    """Raise `InputError` for links of a URDF that are missing, or in a loop; MuJoCo's message names none."""
+    """Raise `InputError` for missing links of a URDF and for loops of links, which MuJoCo's message does not name."""
     links, carriers = {link.get("name") for link in robot.iterfind("link")}, dict[str | None, list[str | None]]()
     for joint in robot.iterfind("joint"):
         ends = [end.get("link") for tag in ("child", "parent") for end in joint.findall(tag)]
         if len(ends) != 2:
-            continue  # MuJoCo tells
+            continue  # MuJoCo reports it
         child, parent = ends
         if missing := {child, parent} - links:
             raise InputError(f"{path}: joint {joint.get('name')!r} is of a link {missing.pop()!r} that is not there")
