@@ -8,7 +8,6 @@ where they are defined, past these checks; methods are checked for everyone. Sha
 
 from __future__ import annotations
 
-import builtins
 import inspect
 import numbers
 import os
@@ -22,6 +21,7 @@ from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
@@ -132,9 +132,11 @@ def _require(name: str, hint: _Hint, value: Any) -> None:
 
 def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dict[str, Any]:
     """The types that the annotations of a function's parameters mean, by name; arguments as for `typechecked`."""
-    # A field may be inherited from another module, where its annotation has its meaning.
-    modules = (vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ()))
-    names = _Names({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules)
+    # A field may be inherited from another module, where its annotation has its meaning. What modules import for type
+    # checkers alone is SciPy's, and an alias of elsewhere may have names of `typing`.
+    modules = [vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ())]
+    others = vars(scipy.spatial.transform), vars(typing)
+    names = ChainMap({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules, *others)
     result = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
     for hint in list(result.values()):
         if typing.get_origin(hint) is typing.Unpack:
@@ -146,21 +148,6 @@ def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
     # Twice, if it is the name of an alias that is a text itself, or of a variable whose bound is one.
     hint = getattr(getattr(hint, "__bound__", None), "__forward_arg__", hint)
     return _evaluate(eval(hint, {}, names), names) if isinstance(hint, str) else hint
-
-
-class _Names(ChainMap[str, Any]):
-    """Names in modules; for what these import for type checkers alone, a class that is recognised by its name."""
-
-    def __missing__(self, name: str) -> Any:
-        known = getattr(builtins, name, None) or getattr(typing, name, None)  # an alias of elsewhere may have these
-        return known or _Named(name, (), {"__module__": __package__})
-
-
-class _Named(type):
-    """A class whose instances are those of any class of its name."""
-
-    def __instancecheck__(cls, instance: object) -> bool:
-        return any(base.__name__ == cls.__name__ for base in type(instance).__mro__)
 
 
 def _hint(hint: Any) -> _Hint:
@@ -203,10 +190,6 @@ def _is_real(value: object) -> bool:
     return type(value) is float or _is_number(value, numbers.Real, "iuf")
 
 
-def _is_array(value: object) -> bool:
-    return hasattr(value, "__array__") or _is_real(value) or _is_list(value)
-
-
 def _is_list(value: object) -> bool:
     """Whether a value is a sequence, or another collection but text and mappings; arrays have an axis at least."""
     if isinstance(value, np.ndarray):
@@ -217,7 +200,10 @@ def _is_list(value: object) -> bool:
 _ANYTHING = _Hint("anything", lambda _: True)
 _PLAIN: dict[Any, _Hint] = {
     **dict.fromkeys((Any, object), _ANYTHING),
-    **dict.fromkeys((Array, np.ndarray), _Hint("an array of numbers", _is_array)),
+    **dict.fromkeys(
+        (Array, np.ndarray),
+        _Hint("an array of numbers", lambda value: hasattr(value, "__array__") or _is_real(value) or _is_list(value)),
+    ),
     **dict.fromkeys((None, type(None)), _Hint("None", lambda value: value is None)),
     Callable: _Hint("a function", callable),
     # What can be read only once is left to the function.
