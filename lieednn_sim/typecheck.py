@@ -8,7 +8,6 @@ checked by `validation.as_floats`, where the arrays are used.
 
 from __future__ import annotations
 
-import builtins
 import inspect
 import numbers
 import os
@@ -22,6 +21,7 @@ from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
@@ -132,9 +132,11 @@ def _require(name: str, hint: _Hint, value: Any) -> None:
 
 def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dict[str, Any]:
     """The types that the annotations of a function's parameters mean, by name; arguments as for `typechecked`."""
-    # A field may be inherited from another module, in which its annotation must be evaluated.
-    modules = (vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ()))
-    names = _Names({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules)
+    # A field may be inherited from another module, in which its annotation must be evaluated. Names that are imported
+    # only for type checkers are SciPy's, and an alias of another module may use names of `typing`.
+    modules = [vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ())]
+    others = vars(scipy.spatial.transform), vars(typing)
+    names = ChainMap({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules, *others)
     result = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
     for hint in list(result.values()):
         if typing.get_origin(hint) is typing.Unpack:
@@ -146,21 +148,6 @@ def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
     # Evaluated again if the result is a text: the name may be of an alias, or of a variable's bound, that is a text.
     hint = getattr(getattr(hint, "__bound__", None), "__forward_arg__", hint)
     return _evaluate(eval(hint, {}, names), names) if isinstance(hint, str) else hint
-
-
-class _Names(ChainMap[str, Any]):
-    """Names in modules; a name that is imported only for type checkers is a class that is compared by its name."""
-
-    def __missing__(self, name: str) -> Any:
-        known = getattr(builtins, name, None) or getattr(typing, name, None)  # an alias of elsewhere may have these
-        return known or _Named(name, (), {"__module__": __package__})
-
-
-class _Named(type):
-    """A class whose instances are those of any class with the same name."""
-
-    def __instancecheck__(cls, instance: object) -> bool:
-        return any(base.__name__ == cls.__name__ for base in type(instance).__mro__)
 
 
 def _hint(hint: Any) -> _Hint:
@@ -203,10 +190,6 @@ def _is_real(value: object) -> bool:
     return type(value) is float or _is_number(value, numbers.Real, "iuf")
 
 
-def _is_array(value: object) -> bool:
-    return hasattr(value, "__array__") or _is_real(value) or _is_list(value)
-
-
 def _is_list(value: object) -> bool:
     """Whether a value is a sequence or another collection, except texts and mappings; arrays need at least one axis."""
     if isinstance(value, np.ndarray):
@@ -217,7 +200,10 @@ def _is_list(value: object) -> bool:
 _ANYTHING = _Hint("anything", lambda _: True)
 _PLAIN: dict[Any, _Hint] = {
     **dict.fromkeys((Any, object), _ANYTHING),
-    **dict.fromkeys((Array, np.ndarray), _Hint("an array of numbers", _is_array)),
+    **dict.fromkeys(
+        (Array, np.ndarray),
+        _Hint("an array of numbers", lambda value: hasattr(value, "__array__") or _is_real(value) or _is_list(value)),
+    ),
     **dict.fromkeys((None, type(None)), _Hint("None", lambda value: value is None)),
     Callable: _Hint("a function", callable),
     # An iterator can be read only once, so its items are left to the function.

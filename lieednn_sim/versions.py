@@ -36,14 +36,8 @@ def commit() -> str:
     if not (root / ".git").exists():
         return ""
     git = ["git", "--no-optional-locks", "-C", str(root), "describe"]
+    git += ["--always", "--abbrev=12", "--exclude=*", "--dirty"]
     try:
-        result = subprocess.run(
-            [*git, "--always", "--abbrev=12", "--exclude=*", "--dirty"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10.0,
-        )
-        return result.stdout.strip()
+        return subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL, timeout=10.0).strip()
     except (OSError, subprocess.SubprocessError):
         return ""

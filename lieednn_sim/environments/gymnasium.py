@@ -47,7 +47,6 @@ __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment"]
 #: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
 
-Stepped = tuple[Any, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -72,7 +71,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of rendered frames, both even, at most 3840x2160.
-        preset: rendering quality, a name of `rendering.camera.PRESETS`.
+        preset: rendering quality, a name of `rendering.video.PRESETS`.
         flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
@@ -209,7 +208,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._begin(which, chosen)
         return self._observed(), self._infos(mask)
 
-    def step(self, actions: Floats) -> Stepped:
+    def step(self, actions: Floats) -> tuple[Any, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Do one control step with actions ``(B, n)``; an environment that begins an episode ignores its action.
 
         `InputError` if an episode is over and autoreset is disabled.

@@ -15,11 +15,8 @@ from lieednn_sim.errors import InputError, RenderingUnavailableError
 from lieednn_sim.rendering import opengl, scene_setup
 from lieednn_sim.rendering.viewpoint import unhidden
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, quoted
 from lieednn_sim.values import Floats
-
-__all__ = ["PRESETS", "Camera"]
 
 Image = NDArray[np.uint8]
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
@@ -149,6 +146,3 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
             return
         goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
         scene_setup.mark(self._arm, self._data, self._marker, goal)
-
-
-typecheck_public(globals())

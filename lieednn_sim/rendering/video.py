@@ -21,14 +21,14 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.camera import Camera, Image
+from lieednn_sim.rendering.camera import PRESETS, Camera, Image
 from lieednn_sim.rendering.overlay import KEY, Line, Overlay, draw_lines, write_caption
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path, as_positive
 from lieednn_sim.values import StrPath
 
-__all__ = ["render_video"]
+__all__ = ["PRESETS", "Camera", "render_video"]
 
 _PLAIN = Picture.Dither.NONE
 _STILL = 1e-5  # a frame that differs by less [m, rad] is not rendered again: rendering takes nearly all of the time

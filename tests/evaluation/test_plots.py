@@ -177,7 +177,8 @@ def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
 def test_the_training_s_plot_has_units_and_ticks(drawn):
     epochs = np.arange(1.0, 4.0)
     xi = np.stack([np.full((1, 6), value) for value in (0.5, 0.9, 1.0)])
-    history = History(epochs, [3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8], epochs, epochs, xi)
+    columns = np.array([[3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8]])
+    history = History(epochs, *columns, epochs, epochs, xi)
     plots.plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
     distance, accuracy, rate, equilibrium = drawn[0].axes
     assert distance.lines[1].get_ydata() == pytest.approx([0.5, 0.1, 0.0])

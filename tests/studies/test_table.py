@@ -7,13 +7,13 @@ import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import pytest
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies import Table
-from lieednn_sim.studies.rows import TableRow, column, outcome
+from lieednn_sim.studies.rows import TableRow, column
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.versions import commit, versions
 
@@ -28,7 +28,7 @@ class Measured(TableRow):
 
     set: str
     number: int
-    success: bool = outcome()
+    success: bool = field(default=True, init=False)
     reason: str = ""
     group: float | None = column("group [m]", "a length")
     count: int | None = column("count", "a number")
@@ -144,7 +144,7 @@ def test_a_column_of_another_type_is_refused(tmp_path):
     class Other(TableRow):
         _key = ("name",)
         name: str
-        success: bool = outcome()
+        success: bool = field(default=True, init=False)
         reason: str = ""
         values: list[float] | None = None
 

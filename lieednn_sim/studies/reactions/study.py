@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from lieednn_sim.policies.making import FOLLOWERS
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.case import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.studies.rows import TableRow, column, columns_of
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
@@ -75,7 +75,7 @@ class Reaction(TableRow):
     policy: str
     disturbance: str
     seed: int
-    success: bool = outcome()
+    success: bool = field(default=True, init=False)
     reason: str = ""
     push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")

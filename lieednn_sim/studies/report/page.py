@@ -16,7 +16,7 @@ from lieednn_sim.rendering.page import Recording, player, record
 from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.case import replay, settings_of
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
-from lieednn_sim.studies.comparison.winners import QUESTIONS, winners
+from lieednn_sim.studies.comparison.summary import QUESTIONS, winners
 from lieednn_sim.studies.reactions.study import MEASURED, Reaction
 from lieednn_sim.studies.reactions.summary import METHOD, groups
 from lieednn_sim.studies.report.figures import FAMILIES, family, plots
