@@ -1,4 +1,4 @@
-"""``python -m lieednn_sim``, the command ``lieednn-sim`` where it is not on the path."""
+"""``python -m lieednn_sim`` runs the command ``lieednn-sim``, also where that is not on the path."""
 
 import sys
 

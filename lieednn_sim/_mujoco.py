@@ -27,7 +27,7 @@ _SCRATCH = threading.local()
 
 
 class QuietWarnings:
-    """Keeps MuJoCo from printing warnings and from leaving a log file behind; who uses it looks at ``data.warning``."""
+    """Keeps MuJoCo from printing warnings and from writing a log file; users must check ``data.warning`` themselves."""
 
     def __enter__(self) -> None:
         self._before = mujoco.get_mju_user_warning()
@@ -38,7 +38,7 @@ class QuietWarnings:
 
 
 def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
-    """New `mujoco.MjData`, or the given, with positions at ``qpos`` ``(nq,)`` and the frames of all bodies there."""
+    """`mujoco.MjData`, new by default, with positions ``qpos`` ``(nq,)`` and the frames of all bodies there."""
     data = mujoco.MjData(model) if data is None else data
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -46,9 +46,9 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
 
 
 def scratch_data(model: Any) -> Any:
-    """`mujoco.MjData`, as if new, to compute with until the next call of this thread for the model returns it again.
+    """`mujoco.MjData` in its initial state, valid until this thread's next call for the model, which returns it again.
 
-    New ones take a hundred times as long as a computation, so those of the thread's last model are kept.
+    Making new data takes a hundred times as long as a computation, so those of the thread's last model are kept.
     """
     if getattr(_SCRATCH, "model", None) is not model:
         _SCRATCH.model, _SCRATCH.data = model, mujoco.MjData(model)
@@ -59,7 +59,7 @@ def scratch_data(model: Any) -> Any:
 def geom_colours(model: Any) -> Any:
     """Colours ``(G, 4)`` of all geoms, from 0 to 1: their own, else those of their materials, as MuJoCo draws them."""
     colours = model.geom_rgba.copy()
-    # Grey is the colour of a geom that has none of its own.
+    # This grey is the default colour of geoms.
     of_material = (model.geom_matid >= 0) & (colours == (0.5, 0.5, 0.5, 1.0)).all(axis=1)
     colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
     return colours

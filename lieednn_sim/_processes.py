@@ -1,4 +1,4 @@
-"""Processes that work for this one: none outlives it, however it ends."""
+"""Worker processes, none of which outlives this process, however it ends."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from typing import Any
 
 
 class WorkerProcess(SpawnProcess):
-    """A fresh process that ends at once when its starter does, even by SIGKILL, and leaves Ctrl-C to it.
+    """A fresh process that ends at once when its parent ends, even by SIGKILL, and ignores Ctrl-C.
 
-    Both begin before it imports what it works with, which may take seconds.
+    Both hold before the worker imports its modules, which may take seconds.
     """
 
     def start(self) -> None:
-        # Only this process holds the other end, which the system closes with it.
+        # Only this process holds the other end; the system closes it when this process ends.
         self._starter, self._held = Pipe(duplex=False)
         with self._starter:
             if not hasattr(signal, "pthread_sigmask"):  # on Windows, where Ctrl-C leaves a traceback until `_begun`
@@ -33,15 +33,15 @@ class WorkerProcess(SpawnProcess):
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def __reduce__(self) -> tuple[Callable[..., WorkerProcess], tuple[Any, ...], dict[str, Any]]:
-        # What is called comes before the rest in the stream, and so before what the rest imports.
+        # In the stream, the call of `_begun` comes before the rest, and so before the imports that the rest causes.
         rest = {name: value for name, value in vars(self).items() if name not in ("_starter", "_held")}
         return _begun, (type(self), self._starter), rest
 
 
 class LoneWorkerProcess(WorkerProcess):
-    """A worker that does not run the program of the one that started it, which may be a script that moves a robot.
+    """A worker that does not import its parent's main program, which may be a script that moves a robot.
 
-    It may be idle when that ends, which is therefore not to wait for it.
+    It is a daemon, since it may be idle when its parent ends, which must not wait for it.
     """
 
     def start(self) -> None:

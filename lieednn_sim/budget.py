@@ -3,10 +3,10 @@
     with time_limit(10.0):
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
     with reporting(print):
-        ...  # work inside that knows how much there is calls `report`
+        ...  # work inside whose total amount is known calls `report`
 
-The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
-it is all. Only that error depends on the clock: work that ends within its budget has the same result as without one.
+The CPU time is that of the calling thread, so that other load on the machine does not count; in `one_blas_thread` it is
+all that the work takes. Only that error depends on the clock: within its budget, work has the same result as without.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def as_time_budget(name: str, value: float) -> float:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Give the block, in this thread, a budget of CPU time [s], or infinity; of nested limits the earlier one counts.
+    """Give the block a budget of CPU time [s] in this thread, or infinity; of nested limits the earlier one counts.
 
-    It decides only whether there is a result, never which one.
+    The limit decides only whether there is a result, never which one.
     """
     seconds = as_time_budget("seconds", seconds)
     mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
@@ -60,7 +60,7 @@ def default_limit() -> contextlib.AbstractContextManager[None]:
 
 @contextlib.contextmanager
 def reporting(progress: Callable[[int, int], object]) -> Iterator[None]:
-    """Have the work of the block, in this thread, call ``progress`` with (done, total); its exceptions end the work."""
+    """Let the work of the block in this thread call ``progress`` with (done, total); its exceptions end the work."""
     token = _REPORT.set(progress)
     try:
         yield
@@ -69,7 +69,7 @@ def reporting(progress: Callable[[int, int], object]) -> Iterator[None]:
 
 
 def report(done: int, total: int) -> None:
-    """Pass the amounts of work done and in all to the callback of `reporting`, if there is one."""
+    """Pass the amount of work done and the total amount to the callback of `reporting`, if there is one."""
     if (progress := _REPORT.get()) is not None:
         progress(done, total)
 
@@ -92,12 +92,12 @@ def check_time() -> None:
 
 @cache
 def _blas() -> Any:
-    # On first use: importing threadpoolctl sets an environment variable, which importing this package must not.
+    # Imported on first use: threadpoolctl sets an environment variable, which importing this package must not do.
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 def one_blas_thread() -> contextlib.AbstractContextManager[Any]:
-    """Context in which BLAS uses one thread: for small matrices more are slower, and results depend on the machine."""
+    """Context in which BLAS uses one thread; more threads are slower for small matrices, and results would vary."""
     return _blas().limit(limits=1, user_api="blas")

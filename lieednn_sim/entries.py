@@ -1,6 +1,6 @@
-"""Things that are chosen by name: what a row says of one, and a registry of rows, to which others may add.
+"""Rows that describe things that are chosen by name, and registries of rows, to which others may add.
 
-A thing is imported when it is loaded. Decorators and the entry points of installed packages add further ones. This
+A thing is imported when it is loaded. Decorators and the entry points of installed packages add further rows. This
 module imports nothing slow.
 """
 
@@ -30,8 +30,8 @@ class Library(NamedTuple):
     """An optional library."""
 
     extra: str  # of this package, which installs it
-    purpose: str = ""  # what it is for, besides the rows that name it
-    distribution: str = ""  # its name on the package index, if that is another one
+    purpose: str = ""  # its use, in addition to the rows that name it
+    distribution: str = ""  # its name on the package index, if that is not the module's
 
 
 #: Optional libraries by the name of their module.
@@ -61,21 +61,21 @@ class Entry:
 
     @property
     def own(self) -> bool:
-        """Whether it is this package's, not added by another one."""
+        """Whether the row is one of this package, not added by another package."""
         return isinstance(self.place, str)
 
     def load(self) -> Any:
-        """The thing itself, which is imported when it is asked for first."""
+        """The thing itself, which is imported at the first call."""
         return self._within(self.place.partition(":")[2]) if self.own else self.place
 
     @property
     def options(self) -> Any:
-        """Class of its options; None for a thing without options."""
+        """Class of the thing's options; None if it has none."""
         return self._within(self.takes) if self.takes and isinstance(self.takes, str) else self.takes or None
 
     @property
     def install(self) -> str:
-        """The command that installs the library that it needs; empty if it is there, or if it needs none."""
+        """The command that installs the library that the thing needs; empty if it is installed, or none is needed."""
         return "" if not self.library or importlib.util.find_spec(self.library) else install_command(self.library)
 
     def _within(self, name: str) -> Any:
@@ -91,8 +91,8 @@ class PlannerEntry(Entry):
     continuous.
     """
 
-    # CPU time of a case of a comparison [s], planning and both default controllers, in the mean over its arms,
-    # free and behind the window. Declared, not measured, so that which cases there are depends on no machine.
+    # CPU time of a case of a comparison [s]: planning and both default controllers, the mean over the default arms and
+    # scenes. Declared, not measured, so that the choice of cases does not depend on the machine.
     cost: float = TYPICAL
     network: bool = False  # whether its plans have a certifiable network, which a run stores
     path_constraints: bool = False  # whether it takes the argument `path_constraint` of `planning.plan`
@@ -102,8 +102,8 @@ class PlannerEntry(Entry):
 class PolicyEntry(Entry):
     """A policy: a function of a `PolicyTask`, and of its options if there are any, which makes a `Policy`.
 
-    A reset lets it begin anew to the bit, and it can be copied and pickled at any time. Its message is "moves", or "has
-    ended" at the end of a motion; anything else says what keeps it from moving on.
+    After a reset the policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is
+    "moves", or "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
     """
 
 
@@ -111,7 +111,7 @@ class PolicyEntry(Entry):
 class FormatEntry(Entry):
     """A format of another tool: a function of sources by name, a folder, and options, which writes files into it.
 
-    That of rollouts takes the option ``rate`` [Hz], see `exports.formats.samples`; None is for its default.
+    A format of rollouts takes the option ``rate`` [Hz], see `exports.formats.samples`; None stands for its default.
     """
 
     of_comparison: bool = False  # whether it holds the table of a comparison; otherwise it holds rollouts
@@ -121,14 +121,14 @@ _Entry = TypeVar("_Entry", bound=Entry)
 
 
 class Registry(Mapping[str, _Entry], Generic[_Entry]):
-    """All things of one kind by name, those of installed packages included, which are looked for once.
+    """All things of one kind by name, including those of installed packages, which are searched once.
 
-    An entry point that cannot be loaded is left out, with a warning that names its package. Where others may add to a
-    kind, `find` also takes ``file.py:thing``, and runs that file.
+    An entry point that cannot be loaded is left out, with a warning that names its package. If others may add things of
+    the kind, `find` also takes ``file.py:thing``, and runs that file.
 
-    The attribute ``entries`` holds this package's own rows, and those that decorators have added, without looking for
-    others. Where others may add to the kind, ``make(place, takes=...)`` is the row of an added thing and its options;
-    ``wanted`` says what such a thing must be, ``group`` is that of packages' entry points, ``further`` for messages.
+    The attribute ``entries`` holds this package's own rows and those that decorators have added; reading it starts no
+    search. If others may add things, ``make(place, takes=...)`` makes the row of a thing and its options, ``wanted``
+    says what a thing must be, and ``group`` is the group of packages' entry points. ``further`` ends messages.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return len(self._all())
 
     def find(self, name: str) -> _Entry:
-        """The row of that name; `InputError` that lists the names if there is none, or says what a file lacks."""
+        """The row of a name; an `InputError` lists the names if there is none, or says what a file lacks."""
         from lieednn_sim.validation import as_choice  # NumPy is slow to import
 
         if self._make and isinstance(name, str) and name not in self.entries and (parts := _IN_FILE.fullmatch(name)):
@@ -185,13 +185,13 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return self._make(given, takes=options)
 
     def missing(self) -> dict[str, str]:
-        """Names of those whose library is not installed, with the commands that install them."""
+        """Names of things whose library is not installed, with the commands that install it."""
         return {name: entry.install for name, entry in self.entries.items() if entry.install}
 
     def require(self, name: str) -> _Entry:
-        """As `find`; `LieEDNNError` if the library that it needs is not installed, which says what to do.
+        """As `find`; if the library that the thing needs is not installed, a `LieEDNNError` says what to do.
 
-        No other one is taken instead, since results must not depend on what is installed.
+        No other thing is taken instead, since results must not depend on what is installed.
         """
         entry = self.find(name)
         if command := entry.install:
@@ -200,7 +200,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return entry
 
     def origins(self, names: Iterable[str]) -> list[str]:
-        """Where those that others have added come from, a line for each."""
+        """The origins of the named things that others have added, a line for each."""
         added = [(name, self[name].place) for name in names if name in self and not self[name].own]
         return [f"{self.kind} {name}: {it.__module__}.{getattr(it, '__qualname__', name)}" for name, it in added]
 
@@ -224,7 +224,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
 
 def _of_file(what: str, path: str, name: str) -> Any:
-    """A thing of a Python file, whose folder is searched last for what it imports."""
+    """A thing of a Python file, whose folder is appended to the import path."""
     file = Path(path).resolve()
     folder, module = str(file.parent), file.stem
     if not file.is_file():

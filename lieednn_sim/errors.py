@@ -10,7 +10,7 @@ class LieEDNNError(Exception):
 
 
 class InputError(LieEDNNError, ValueError):
-    """A value has the wrong shape, type or range; all functions raise it, docstrings name further reasons."""
+    """A value has the wrong shape, type or range. All functions raise it for this; docstrings name further reasons."""
 
 
 class FileError(LieEDNNError, OSError):
@@ -30,7 +30,7 @@ class PlanError(NoSolutionError):
 
 
 class TooFastError(PlanError):
-    """A planned motion breaks a limit of velocity, acceleration, jerk or force that it would keep if it took longer.
+    """A planned motion breaks a limit of velocity, acceleration, jerk or force that a slower motion would keep.
 
     Attributes:
         duration: a duration that is long enough [s].

@@ -168,7 +168,7 @@ _ARMS = {
 }
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
 ARMS = Registry("arm", _ARMS, further="or the path of an MJCF or URDF file")
-#: Those that studies take by default, which are alike.
+#: The arms that studies take by default, which are similar.
 DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 
 _SCENES = {

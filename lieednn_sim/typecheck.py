@@ -1,14 +1,13 @@
-"""Arguments of public functions checked against their annotations, which say what is wanted anyway.
+"""Checks of the arguments of public functions against their annotations.
 
 A module that users import from ends with ``typecheck_public(globals())``. From then on its public functions and classes
-refuse an argument of another type with an `InputError` that names it. Modules of this package import functions from
-where they are defined, past these checks; methods are checked for everyone. Shapes and entries of arrays are for
-`validation.as_floats`, where the arrays are used.
+refuse an argument of another type with an `InputError` that names it. Modules of this package import functions from the
+modules that define them, without these checks; methods are checked for all callers. Shapes and entries of arrays are
+checked by `validation.as_floats`, where the arrays are used.
 """
 
 from __future__ import annotations
 
-import builtins
 import inspect
 import numbers
 import os
@@ -22,13 +21,14 @@ from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
 
 # A function is left as it is if all its parameters have these annotations: `as_floats` checks them closely.
 _CHECKED_WITHIN = {"ArrayLike", "ArrayLike | None", "Floats", "Floats | None", "Any", "object"}
-# Where to get what a user does not have at hand.
+# Hints on how to get an object of these types.
 _SOURCES = {
     "Arm": "see Arm.load",
     "Motion": "see plan",
@@ -43,21 +43,21 @@ class _Hint(NamedTuple):
     """What an annotation asks for."""
 
     wanted: str  # in words
-    accepts: Callable[[Any], bool]  # whether a value is of this kind, whatever its parts are
-    # The parts of such a value that have a hint of their own: where each is, as ``[2]``, its hint, and itself.
+    accepts: Callable[[Any], bool]  # whether a value is of this kind, regardless of its parts
+    # The parts of such a value that have their own hint: for each its place, such as ``[2]``, its hint, and the part.
     parts: Callable[[Any], Iterable[tuple[str, _Hint, Any]]] | None = None
 
 
 class Array:
-    """Stands for ``ArrayLike``, whose members could not be told from the others of a union."""
+    """Stands for ``ArrayLike``, which is a union itself: its members would mix with those of another union."""
 
 
 def typecheck_public(namespace: dict[str, Any]) -> None:
     """Let all public functions and classes of a module check the types of their arguments.
 
-    The namespace is the module's ``globals()``. Public is what its ``__all__`` names; without one, as in the
-    ``__init__`` of a subpackage, all that it imports, which is put there. Functions are replaced in the namespace, and
-    are from then on this module's, where pickle finds them; methods are replaced in their classes.
+    The namespace is the module's ``globals()``. The public names are those of its ``__all__``; without one, as in the
+    ``__init__`` of a subpackage, all names that it imports, and ``__all__`` is set to them. Functions are replaced in
+    the namespace, and get this module as theirs, where pickle finds them; methods are replaced in their classes.
     """
     imported = [name for name, value in namespace.items() if not (name.startswith("_") or inspect.ismodule(value))]
     for name in namespace.setdefault("__all__", sorted({*imported} - {typecheck_public.__name__})):
@@ -80,16 +80,16 @@ def _check_methods(cls: type) -> None:
         if public and isinstance(function, types.FunctionType):
             checked = typechecked(function, cls)
             if checked is not function:
-                # Where pickle finds it, also if it was a module's own function.
+                # So that pickle finds it, even if it was a function of a module.
                 checked.__module__, checked.__qualname__ = cls.__module__, f"{cls.__qualname__}.{name}"
                 setattr(cls, name, checked if kind is None else kind(checked))
 
 
 def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callable[..., Any]:
-    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or need not.
+    """Wrap a function, or a method of a class, in a check of its arguments' types, unless it has one or needs none.
 
-    A function whose docstring calls it unchecked, for inner loops, need not. Annotations are read at the first call,
-    when all modules are loaded.
+    It needs none if its docstring calls it unchecked, for inner loops. Annotations are read at the first call, when all
+    modules are loaded.
     """
     annotations = {text for name, text in function.__annotations__.items() if name != "return"}
     if (
@@ -107,7 +107,7 @@ def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callab
             hints.update((name, _hint(kind)) for name, kind in annotations_of(function, cls).items())
         for name, value in chain(zip(positional, arguments, strict=False), options.items()):
             hint = hints.get(name)
-            # Most values have no parts, and are what they should be.
+            # The fast path: most values have no parts and the right type.
             if hint and (hint.parts or not hint.accepts(value)):
                 _require(name, hint, value)
         return function(*arguments, **options)
@@ -119,7 +119,7 @@ def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callab
 def _require(name: str, hint: _Hint, value: Any) -> None:
     """Raise `InputError` if a value, or one of its parts, is not what is asked for."""
     if not hint.accepts(value):
-        # The text of any other object may be long, and of no use.
+        # The `repr` of any other object may be long and useless.
         shown = isinstance(value, None | str | bytes | numbers.Number | np.generic | Collection | type)
         given = quoted(value) if shown else _with_article(type(value).__name__)
         source = next((f"; {_SOURCES[word]}" for word in hint.wanted.split() if word in _SOURCES), "")
@@ -132,9 +132,11 @@ def _require(name: str, hint: _Hint, value: Any) -> None:
 
 def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dict[str, Any]:
     """The types that the annotations of a function's parameters mean, by name; arguments as for `typechecked`."""
-    # A field may be inherited from another module, where its annotation has its meaning.
-    modules = (vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ()))
-    names = _Names({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules)
+    # A field may be inherited from another module, in which its annotation must be evaluated. Names that are imported
+    # only for type checkers are SciPy's, and an alias of another module may use names of `typing`.
+    modules = [vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ())]
+    others = vars(scipy.spatial.transform), vars(typing)
+    names = ChainMap({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules, *others)
     result = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
     for hint in list(result.values()):
         if typing.get_origin(hint) is typing.Unpack:
@@ -143,24 +145,9 @@ def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dic
 
 
 def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
-    # Twice, if it is the name of an alias that is a text itself, or of a variable whose bound is one.
+    # Evaluated again if the result is a text: the name may be of an alias, or of a variable's bound, that is a text.
     hint = getattr(getattr(hint, "__bound__", None), "__forward_arg__", hint)
     return _evaluate(eval(hint, {}, names), names) if isinstance(hint, str) else hint
-
-
-class _Names(ChainMap[str, Any]):
-    """Names in modules; for what these import for type checkers alone, a class that is recognised by its name."""
-
-    def __missing__(self, name: str) -> Any:
-        known = getattr(builtins, name, None) or getattr(typing, name, None)  # an alias of elsewhere may have these
-        return known or _Named(name, (), {"__module__": __package__})
-
-
-class _Named(type):
-    """A class whose instances are those of any class of its name."""
-
-    def __instancecheck__(cls, instance: object) -> bool:
-        return any(base.__name__ == cls.__name__ for base in type(instance).__mro__)
 
 
 def _hint(hint: Any) -> _Hint:
@@ -193,7 +180,7 @@ def _with_article(name: str) -> str:
 
 
 def _is_number(value: object, abstract: type, kinds: str) -> bool:
-    """Whether a value is a number, or an array without axes of a type of one of these kinds; a truth value is none."""
+    """Whether a value is a number but no truth value, or an array without axes of one of these kinds of types."""
     if isinstance(value, np.ndarray):
         return value.ndim == 0 and value.dtype.kind in kinds and value is not np.ma.masked
     return isinstance(value, abstract) and not isinstance(value, bool)
@@ -203,12 +190,8 @@ def _is_real(value: object) -> bool:
     return type(value) is float or _is_number(value, numbers.Real, "iuf")
 
 
-def _is_array(value: object) -> bool:
-    return hasattr(value, "__array__") or _is_real(value) or _is_list(value)
-
-
 def _is_list(value: object) -> bool:
-    """Whether a value is a sequence, or another collection but text and mappings; arrays have an axis at least."""
+    """Whether a value is a sequence or another collection, except texts and mappings; arrays need at least one axis."""
     if isinstance(value, np.ndarray):
         return value.ndim > 0
     return isinstance(value, Collection) and not isinstance(value, str | bytes | bytearray | Mapping)
@@ -217,10 +200,13 @@ def _is_list(value: object) -> bool:
 _ANYTHING = _Hint("anything", lambda _: True)
 _PLAIN: dict[Any, _Hint] = {
     **dict.fromkeys((Any, object), _ANYTHING),
-    **dict.fromkeys((Array, np.ndarray), _Hint("an array of numbers", _is_array)),
+    **dict.fromkeys(
+        (Array, np.ndarray),
+        _Hint("an array of numbers", lambda value: hasattr(value, "__array__") or _is_real(value) or _is_list(value)),
+    ),
     **dict.fromkeys((None, type(None)), _Hint("None", lambda value: value is None)),
     Callable: _Hint("a function", callable),
-    # What can be read only once is left to the function.
+    # An iterator can be read only once, so its items are left to the function.
     Iterable: _Hint("a list", lambda value: _is_list(value) or isinstance(value, Iterator)),
     str: _Hint("a string", lambda value: isinstance(value, str)),
     os.PathLike: _Hint("a path", lambda value: isinstance(value, os.PathLike)),
@@ -231,11 +217,11 @@ _PLAIN: dict[Any, _Hint] = {
 
 
 def _union(hints: list[_Hint]) -> _Hint:
-    # Whoever gave something wants it, and not None.
+    # Messages leave out None: a user who gave a value did not mean None.
     target = " or ".join(dict.fromkeys(hint.wanted for hint in hints if hint.wanted != "None"))
 
     def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
-        # No annotation has two kinds of lists.
+        # The first hint that accepts the value is the only one, since no annotation has two kinds of lists.
         find = next(hint for hint in hints if hint.accepts(value)).parts
         return find(value) if find else ()
 
@@ -249,7 +235,7 @@ def _sequence(items: list[_Hint], *, fixed: bool) -> _Hint:
         target += f", each item {items[0].wanted}"
 
     def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
-        # Items of an array of numbers, or of a range, are all alike, and may be many.
+        # Items of an array of numbers, or of a range, are all alike and may be many: one of them is checked.
         alike = isinstance(value, range) or (isinstance(value, np.ndarray) and value.dtype != object)
         pairs = zip(items if fixed else repeat(items[0]), value[:1] if alike else value, strict=False)
         return ((f"[{index}]", *pair) for index, pair in enumerate(pairs))

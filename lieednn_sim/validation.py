@@ -19,8 +19,8 @@ Seed = int | np.random.SeedSequence | np.random.Generator
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
-_QUOTED = 80  # most characters of a refused value that are quoted
-TURN = 6.3  # a full turn, rounded [rad]: larger angles of orientations are degrees
+_QUOTED = 80  # most characters of a refused value that messages quote
+TURN = 6.3  # a full turn, rounded up [rad]: larger angles of orientations were probably given in degrees
 MOST_ENTRIES = 2**27  # most entries of an array: a gibibyte of float64
 
 
@@ -35,7 +35,7 @@ def quoted(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of shape {_describe(value.shape)}"
     if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 4 * _QUOTED:
-        # Python refuses to write integers beyond some thousands of digits.
+        # Python refuses to print integers of more than some thousands of digits.
         return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, list | tuple | set | frozenset | dict):
         return f"a {type(value).__name__} of {len(value)}"
@@ -59,9 +59,9 @@ def as_floats(
     else:
         array = as_array(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
-    # Fast path for training loops. If the sum of squares is small no entry is large, which takes a third of the time of
-    # finding the largest; a NaN makes both comparisons false. Long vectors are for BLAS's threads, which would spin on
-    # the processors of callers with threads of their own.
+    # Fast path for training loops: if the sum of squares is small, no entry is large. It takes a third of the time of
+    # finding the largest entry; a NaN makes both comparisons false. Long vectors are left out, since BLAS would use
+    # several threads, which then spin on the processors of callers with their own threads.
     if array.size < 1000 and np.vdot(array, array) < largest * largest:
         return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
@@ -140,7 +140,7 @@ def as_path(name: str, value: object) -> Path:
         lengths = [len(os.fsencode(part)) for part in text.split("/")]
     except ValueError:
         raise InputError(f"{name} must be a path without NUL or broken characters, got {quoted(text)}") from None
-    # Limits of Linux; that of a path counts its final zero.
+    # Limits of Linux; the limit of a path includes its final zero byte.
     if max(lengths) > 255 or sum(lengths) + len(lengths) > 4096:
         raise InputError(f"{name} is too long for a path, got {quoted(text)}")
     return Path(text)
@@ -214,7 +214,7 @@ def as_workers(name: str, value: int) -> int:
 
 
 def as_seed(name: str, seed: Seed) -> int:
-    """Return ``seed``, or what it draws if it is a generator, as a whole number below 2^128, or raise `InputError`."""
+    """Return ``seed``, or a number drawn from a generator, as a whole number below 2^128, or raise `InputError`."""
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -231,7 +231,7 @@ def as_generator(name: str, seed: Seed) -> np.random.Generator:
 
 
 def as_choice(name: str, value: str, allowed: Iterable[str], further: str = "") -> str:
-    """Return ``value`` if it is one of ``allowed``, or raise `InputError` that lists them, and what else may do."""
+    """Return ``value`` if it is one of ``allowed``, or raise an `InputError` that lists these and ``further``."""
     choices = sorted(allowed)
     # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:

@@ -1,7 +1,7 @@
 """Immutable results that compare equal when their contents are equal.
 
-A value with arrays is made by `frozen`, another one by ``dataclass(frozen=True)``. In its ``__post_init__`` either sets
-its fields by `check_fields` and `set_fields`.
+Classes with arrays use `frozen`, others ``dataclass(frozen=True)``. Both set fields in their ``__post_init__`` by
+`check_fields` and `set_fields`.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
-    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies. Of
-    long fields the ``repr`` shows the kind alone, and the shape.
+    have the same hash; `dataclasses.replace` makes a changed copy. All this also holds for unpickled and deep copies.
+    The ``repr`` of a long field shows only its type and shape.
     """
     result: Any = dataclass(frozen=True, eq=False, repr=False)(cls)
     initialise, names = result.__init__, [item.name for item in fields(result)]
@@ -64,7 +64,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
 
 def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
-    """Decorator: as `functools.cache`, but results go with the first argument, to which they must not refer."""
+    """Decorator: as `functools.cache`, but results live as long as the first argument, which they must not refer to."""
     results: WeakKeyDictionary[Any, dict[Any, _Class]] = WeakKeyDictionary()
 
     @wraps(function)
@@ -99,7 +99,7 @@ def _as_read_only(item: Any) -> Any:
     if isinstance(item, np.ndarray) and item.flags.writeable:
         item = item.view()
         item.flags.writeable = False
-    # Exactly these types: named tuples and other mappings have other constructors.
+    # Exactly these types, since named tuples and other mappings have other constructors.
     elif type(item) in (tuple, list):
         return type(item)(map(_as_read_only, item))
     elif type(item) is dict:

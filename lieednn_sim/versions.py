@@ -8,9 +8,9 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-# All results depend on the former, and those of some planners on the latter.
+# All results depend on the packages; those of some planners also on the optional ones.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
-_version = cache(metadata.version)  # of a running process, which reads them for every table and file
+_version = cache(metadata.version)  # cached, since versions are read for every table and file
 
 
 def versions(*, optional: bool = False) -> dict[str, str]:
@@ -36,14 +36,8 @@ def commit() -> str:
     if not (root / ".git").exists():
         return ""
     git = ["git", "--no-optional-locks", "-C", str(root), "describe"]
+    git += ["--always", "--abbrev=12", "--exclude=*", "--dirty"]
     try:
-        result = subprocess.run(
-            [*git, "--always", "--abbrev=12", "--exclude=*", "--dirty"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10.0,
-        )
-        return result.stdout.strip()
+        return subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL, timeout=10.0).strip()
     except (OSError, subprocess.SubprocessError):
         return ""

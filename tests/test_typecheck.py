@@ -90,7 +90,7 @@ def test_what_works_without_the_check_works_with_it(given):
         ({"table": [1]}, "table must be a dictionary, got a list of 1"),
         ({"call": None}, "call must be a function or an array of numbers, got None"),
         ({"array": {1: 2}}, "array must be an array of numbers, got a dict of 1"),
-        ({"rotation": object()}, "rotation must be a Rotation, got an object"),
+        ({"rotation": object()}, "rotation must be a Rotation of scipy, got an object"),
         ({"text": b"1"}, "text must be a string or an array of numbers, got b'1'"),
     ],
 )

@@ -27,7 +27,7 @@ def joint_kind(model: mujoco.MjModel, joint: int) -> str:
 
 
 def joint_label(model: mujoco.MjModel, arm: str, joint: int) -> str:
-    """What a joint is called in messages."""
+    """The name of a joint in messages."""
     return f"joint {model.joint(joint).name!r} of arm {arm!r}"
 
 

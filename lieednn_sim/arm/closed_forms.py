@@ -101,7 +101,7 @@ class HingeSlide:
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., L, 2)`` (angle, slide) and their rates by the implicit function theorem.
 
-        Angles that the pose does not determine get a rate of zero.
+        Angles that the pose does not determine have a rate of zero.
         """
         links = self._links
         rotation = poses.rotation[..., links, :, :]
@@ -176,9 +176,9 @@ class HingeSlide:
 def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
     """The angle in (-pi, pi] where p cos + q sin + (b cos + c sin)^2 is highest; zero where it is constant.
 
-    Turned by atan2(c, b) that is alpha X + beta Y + strength X^2 on the unit circle, X = alpha / (2 t) and
-    Y = beta / (2 (t + strength)) at the maximum, with the multiplier t >= 0 that makes X^2 + Y^2 = 1. Newton's method
-    on (X^2 + Y^2)^(-1/2) = 1, concave and increasing in t, converges monotonically to the root from any t below it.
+    Turned by atan2(c, b), it is alpha X + beta Y + strength X^2 on the unit circle. At the maximum X = alpha / (2 t)
+    and Y = beta / (2 (t + strength)), with the multiplier t >= 0 for which X^2 + Y^2 = 1. Newton's method on (X^2 +
+    Y^2)^(-1/2) = 1, concave and increasing in t, converges monotonically to the root from any t below it.
     """
     turn, strength = np.arctan2(c, b), b**2 + c**2
     alpha, beta = p * np.cos(turn) + q * np.sin(turn), q * np.cos(turn) - p * np.sin(turn)
@@ -238,7 +238,7 @@ class OneScrew:
 
 
 class SixDof:
-    """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
+    """Trans(S s) Rot(A w), three slides below a ball joint, which meet every pose exactly."""
 
     def __init__(self, joints: Sequence[CompoundJoint], links: list[int], _: float) -> None:
         self._links = links

@@ -14,13 +14,13 @@ from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses,
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
-# The largest residual [m, rad] that is accepted, where rounding allows no less.
+# The largest residual [m, rad] that is accepted if rounding allows no smaller one.
 CLOSED = 1e-10
 # Singular values below this part of the largest count as zero: the loop is at a dead centre, or not determined.
 SINGULAR = 1e-5
-# The most that a joint turns in one step along the way to a configuration [rad], and the least part of the way.
+# Largest turn of a joint in one step along the way to a configuration [rad], and the least part of the way in a step.
 LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
-# Grid of the configurations from which others are reached [rad; part of the model's extent], and how many are kept.
+# Grid of configurations from which others are reached [rad; fraction of the model's extent], and how many are kept.
 GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
 
 
@@ -59,7 +59,7 @@ class ClosedLoops:
         start = data.qpos.copy()
         follow(start)
         residual, start = self._residuals.settle(start)
-        # Equalities without dependent joints tie independent ones, which `check_independent` says.
+        # Equalities without dependent joints tie independent ones, which `check_independent` reports.
         if joints and np.abs(residual).max(initial=0.0) > CLOSED:
             raise NoSolutionError(
                 f"in the given state {self._residuals.gap(residual)}, and no position of {names(model, joints)} near "
@@ -75,7 +75,7 @@ class ClosedLoops:
         """
         last, (guesses, moved) = self._reference, self._interpolated(rows)
         for row, guess in zip(rows, guesses, strict=True):
-            # As good as the solution, so that one step of Newton's method leads there.
+            # The guess is so good that one step of Newton's method leads to the solution.
             jacobian = self._newton(guess, moved) if moved else None
             solution, reached = self._reach(last, row) if jacobian is None else (_Solution(guess, jacobian), True)
             if reached:
@@ -84,9 +84,9 @@ class ClosedLoops:
                 row[:] = np.nan
 
     def _interpolated(self, rows: Floats) -> tuple[Floats, float]:
-        """Rows ``(S, nq)`` near the solutions along a path, from those of every eighth; and how far these are apart.
+        """Rows ``(S, nq)`` near the solutions along a path, interpolated from every eighth, and the gap of these.
 
-        Zero where the rows are few, too far apart for that, or have no solutions.
+        The distance is zero if the rows are few, too far apart, or have no solutions.
         """
         some, given = np.append(np.arange(0, len(rows) - 1, 8), len(rows) - 1), self._residuals.given
         few = rows[some if len(some) >= 8 else []]
@@ -125,7 +125,7 @@ class ClosedLoops:
         given = jacobian[:, self._residuals.known] @ known[self._residuals.known]
         left = given + jacobian[:, self.dofs] @ self._residuals.least_squares(jacobian, given)[0]
         large = np.abs(left) > 1e-6 * max(1.0, np.abs(given).max(initial=0.0))
-        # Stretched loops let joints move at first, but no further.
+        # A stretched loop lets its joints move at first, but no further.
         large[:, [self._stuck(rates) for rates in known.T]] = True
         if large.any():
             tied = {joint for joint, column in zip(joints, large.T, strict=True) if column.any()}
@@ -149,7 +149,7 @@ class ClosedLoops:
         return True
 
     def _reach(self, last: _Solution, row: Floats) -> tuple[_Solution, bool]:
-        """The solution at a row, or the last one on the way there; and whether it is there."""
+        """The solution at a row, or the last one on the way there; and whether the row was reached."""
         furthest, most = last, -1.0
         for start in self._starts(last, row):
             solution, part = self._track(start, row)
@@ -209,7 +209,7 @@ class ClosedLoops:
         return solution, reached
 
     def _starts(self, last: _Solution, row: Floats) -> Iterator[_Solution]:
-        """Solutions from which to go to ``row``: on a path the last one; after a jump, one near by, found before."""
+        """Solutions to start from towards ``row``: on a path the last one; after a jump, a known one near by."""
         steps = self._residuals.difference(last.qpos, row)[self._drivers] / self._grid
         on_path = bool(np.abs(steps).max(initial=0.0) <= 1.0)
         if on_path:
@@ -236,11 +236,11 @@ class ClosedLoops:
         return self._near[key]
 
     def _check_determined(self) -> None:
-        """Raise `InputError` where dependent joints can move alone, `NoSolutionError` where they are singular."""
+        """Raise `InputError` if dependent joints can move alone, `NoSolutionError` if they are singular."""
         model, start = self._model, self._reference.qpos
         _, singular, directions = np.linalg.svd(self._reference.jacobian[:, self.dofs])
         free = directions[np.count_nonzero(singular > SINGULAR * singular.max(initial=0.0)) :]
-        # At a dead centre, Newton's method comes back from a small motion along such a direction; a free joint stays.
+        # Newton's method tells the two apart: it undoes a small motion at a dead centre, but not that of a free joint.
         small, moving = 1e-2, False
         for direction in free:
             qpos = start.copy()
@@ -252,7 +252,7 @@ class ClosedLoops:
             loose = [j for j, part in parts.items() if np.abs(part).max() > 1e-6]
             scalars = [j for j in loose if model.jnt_type[j] in SCALAR]
             columns = free[:, np.searchsorted(self.dofs, model.jnt_dofadr[scalars])]
-            # Those that move most first.
+            # The joints that move most come first.
             triangle, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
             chosen = [scalars[k] for k, left in zip(order, np.diag(triangle), strict=False) if abs(left) > 1e-6]
             more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
@@ -267,7 +267,7 @@ class ClosedLoops:
             )
 
     def failure(self, number: int, row: Floats) -> NoSolutionError:
-        """What to say of a row ``(nq,)``, by its number, that has no solution."""
+        """The error for a row ``(nq,)``, named by its number, that has no solution."""
         furthest, _ = self._reach(self._reference, row)
         start = row.copy()
         dependent = np.setdiff1d(np.arange(self._model.nq), self._residuals.given)

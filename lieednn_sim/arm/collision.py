@@ -1,8 +1,8 @@
 """Signed distances between an arm's links and their surroundings, and their gradients in the joint coordinates.
 
 Distances are MuJoCo's (`mj_geomDistance`), of the geom pairs that pass its collision filter. Bounding boxes of the
-geoms give lower bounds, so that few pairs are measured. With witness points a on geom A and b on geom B at a distance
-d, negative in penetration, the normal is n = (b - a) / d, and d changes at the rate n . (b' - a').
+geoms give lower bounds, so that only a few pairs are measured. With witness points a on geom A and b on geom B at a
+distance d, negative in penetration, the normal is n = (b - a) / d, and d changes at the rate n . (b' - a').
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Distances(NamedTuple):
 
 
 class Collisions:
-    """Distances of one arm, in the scene that its model holds.
+    """Distances of one arm in the scene of its model.
 
     Holds a `mujoco.MjData` of its own: one instance for each thread.
 
@@ -56,7 +56,7 @@ class Collisions:
         arm: the arm.
         pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
             welded together, parent and child, excludes, and the model's explicit pairs.
-        own: ``(P,)`` which pairs are both parts of the arm; links may pass each other closely by design.
+        own: ``(P,)`` which pairs are two parts of the arm; links may pass each other closely by design.
         offsets: the distances at which geoms begin to push each other.
     """
 
@@ -65,7 +65,7 @@ class Collisions:
         self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), colliding_pairs(arm.geometry)
         self._offset = self.offsets(self.pairs)
         self._data = mujoco.MjData(arm.geometry)
-        # The model as it was given, once obstacles have moved.
+        # The original model, kept once obstacles have moved.
         self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
         model = arm.geometry
@@ -75,11 +75,11 @@ class Collisions:
         planes = model.geom_type[used] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
-        # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
+        # MuJoCo's bounding sphere is smaller than the box's; it is used if the box is centred at the geom's frame, too.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
         self._reach = self._radius[self._first] + self._radius[self._second] + _SLACK
-        # Of two geoms the one that fills its bounding ball most is taken as that ball.
+        # Of two geoms, the one that fills its bounding ball better is replaced by this ball in the first test.
         empty = np.where(planes, np.inf, self._radius / np.maximum(self._half.min(axis=1), 1e-300))
         swapped = empty[self._first] < empty[self._second]
         self._first, self._second = np.where(swapped, [self._second, self._first], [self._first, self._second])
@@ -92,7 +92,7 @@ class Collisions:
         self._jacobians = np.zeros((len(self._bodies) + 1, 6, model.nv))
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
-        """Put obstacles where they are now, and all others back where the scene has them, in another `Arm.geometry`.
+        """Put obstacles where they are now, and all others back to the scene, in another `Arm.geometry`.
 
         Args:
             places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
@@ -149,28 +149,28 @@ class Collisions:
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
         some, reach = np.arange(len(first)), self._reach
         if len(center) > 4 and len(first) > 2000:
-            # One test for what is far apart wherever the geoms are in these configurations.
+            # First drop the pairs that are far apart wherever the geoms are in these configurations.
             low, high = center.min(axis=0), center.max(axis=0)
             middle, spread = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
             far = reach + spread.take(first) + spread.take(second) + limits.reshape(-1, len(first)).max(axis=0)
             away = middle.take(second, axis=0) - middle.take(first, axis=0)
             some = (np.vecdot(away, away) < np.square(np.maximum(far, 0.0))).nonzero()[0]
             first, second, reach, limits = (part.take(some, axis=-1) for part in (first, second, reach, limits))
-        # The configurations last: whole rows are taken.
+        # The configurations are the last axis, so that `take` copies whole rows.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
         away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
         near = (apart < np.square(np.maximum(limits + reach, 0.0))).ravel().nonzero()[0]
         at, index = np.divmod(near, len(first))
         limits = limits.take(near if limits.ndim == 2 else index)
-        # A ball and the other one's box, then both boxes along the normals of their faces; `take` is a third of the
-        # time of indexing.
+        # First a ball against the other one's box, then both boxes along the normals of their faces; `take` needs a
+        # third of the time of indexing.
         centers, frames = center.reshape(-1, 3), used.reshape(-1, 3, 3)
         one, other = first.take(index), second.take(index)
         here, there = at * len(self._used) + one, at * len(self._used) + other
         between, frame = centers.take(there, axis=0) - centers.take(here, axis=0), frames.take(here, axis=0)
         beyond = np.abs(np.vecmat(between, frame)) - self._half.take(one, axis=0)
-        # Sorting out a few takes longer than all that follows.
+        # Sorting out a few pairs would take longer than all that follows.
         if len(at) > 256:
             deep, outside = np.minimum(beyond.max(axis=1), 0.0), np.maximum(beyond, 0.0)
             apart = np.sqrt(np.vecdot(outside, outside)) + deep - self._radius.take(other)
@@ -198,7 +198,7 @@ class Collisions:
         return self.nearest_at(self.arm.qpos(rows))[0]
 
     def nearest_at(self, qpos: ArrayLike) -> tuple[float, int, tuple[int, ...]]:
-        """`clearance` at ``(K, nq)`` of everything, at which of them, and the geoms' ids, none without pairs."""
+        """`clearance` at rows ``(K, nq)`` of the whole model, its row, and the geoms' ids, empty without pairs."""
         rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
 
         def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:
@@ -206,12 +206,12 @@ class Collisions:
             distance, at, index = self._nearer(rows[some], cutoff)
             best = min([best, *zip(distance.tolist(), some[at].tolist(), index.tolist(), strict=True)])
 
-        # At a few of them first, further and further out, so that only what is nearer is measured at the others.
+        # First at a few rows, with a growing cutoff, so that only nearer pairs are measured at the others.
         every, cutoff = np.arange(len(rows)), 0.05
         while len(rows) and best[0] == np.inf and cutoff < 2.0 * _PLANE_SIZE:
             look(every[:: len(rows) // AT_ONCE + 1], cutoff)
             cutoff *= 4.0
-        # Boxes do not bound depths as MuJoCo measures them: whatever overlaps is measured.
+        # Boxes give no bound of depths as MuJoCo measures them, so everything that overlaps is measured.
         deep = np.where(np.isfinite(self._offset), np.maximum(-self._offset, 0.0), 0.0)
         for k in range(0, len(rows) if best[0] < np.inf else 0, AT_ONCE):
             look(every[k : k + AT_ONCE], np.maximum(deep, best[0]))
@@ -223,7 +223,7 @@ class Collisions:
     ) -> bool:
         """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``.
 
-        Those that are nearly as near at ``home`` ``(n,)``, as a first link over the floor, may be a fifth nearer.
+        Pairs that are nearly that near at ``home`` ``(n,)``, such as a first link and the floor, may be a fifth nearer.
         """
         qpos, limit = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
@@ -233,7 +233,7 @@ class Collisions:
         return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf))[0])
 
     def _nearer(self, rows: Floats, cutoff: Floats | float) -> tuple[Floats, NDArray[np.int_], NDArray[np.int_]]:
-        """Distances ``(C,)`` below a cutoff, ``()`` or ``(P,)`` [m], at which of positions ``(K, nq)``, what pairs."""
+        """Distances ``(C,)`` below a cutoff ``()`` or ``(P,)`` [m], their rows of ``(K, nq)``, and their pairs."""
         count = self.arm.geometry.ngeom
         places, turns = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
         for k, row in enumerate(rows):
@@ -255,7 +255,7 @@ class Collisions:
         mujoco.mj_comPos(model, data)
         for body, jacobian in zip(self._bodies.tolist(), self._jacobians, strict=False):
             mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], body)
-        # At less the normal of two touching geoms is lost in rounding.
+        # Below this, the normal of two touching geoms is lost in rounding.
         apart = np.abs(distance) >= 1e-10
         normal = np.zeros((len(pairs), 3))
         normal[apart] = (points[apart, 1] - points[apart, 0]) / distance[apart, None]
@@ -272,7 +272,7 @@ class ContactSlopes(ContactFinder):
     It takes about as long as the collision detection itself, a tenth of `Collisions`. Holds a `mujoco.MjData` of its
     own: one instance for each thread.
 
-    Geoms closer than the margin [m] count, two of moving bodies only with ``own``.
+    Geoms closer than the margin [m] count; pairs of moving bodies only with ``own``.
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
@@ -280,13 +280,13 @@ class ContactSlopes(ContactFinder):
         super().__init__(bare.geometry, margin, bare.offsets, bare.leaving_qpos)
         self._arm, model = arm, self._model
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
-        # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
-        # moving ones as before.
+        # Each direction of MuJoCo's filter, which has 31 bits, gets bits of its own, so that a fixed geom meets the
+        # same moving ones as before.
         if not own and (types | affinities).max(initial=0) < 2**15:
             moving = moving_geoms(model)
             model.geom_contype[:] = np.where(moving, types | affinities << 15, 0)
             model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << 15)
-        # One row of the Jacobian for each contact, its normal's, and none for anything else.
+        # The Jacobian gets one row for each contact, that of its normal, and none for anything else.
         model.geom_condim[:] = 1
         model.pair_dim[:] = 1
         for flag in ("EQUALITY", "FRICTIONLOSS", "LIMIT"):
@@ -303,7 +303,7 @@ class ContactSlopes(ContactFinder):
         """
         model, data, positions = self._model, self._data, self._arm.qpos(q, strict=False)
         at, distances, kept, rows = list[int](), [np.zeros(0)], [np.zeros(0, dtype=bool)], list[Floats]()
-        # Where loops cannot be closed, no place of a geom is known.
+        # Configurations at which loops cannot be closed are left out: there the geoms' places are not known.
         for k in np.flatnonzero(~np.isnan(positions).any(axis=1)).tolist():
             if not self._found(positions[k]):
                 continue
@@ -311,7 +311,7 @@ class ContactSlopes(ContactFinder):
             mujoco.mj_makeConstraint(model, data)
             at.append(k)
             distances.append(np.array(self._distances()))
-            # Those have a row of the Jacobian each, in their order.
+            # Contacts that are not excluded have a row of the Jacobian each, in this order.
             kept.append(data.contact.exclude == 0)
             rows.append(data.efc_J.reshape(-1, model.nv).copy())
         # MuJoCo's velocities for a unit rate of each joint, which depend on the position of ball joints alone.

@@ -19,9 +19,9 @@ from lieednn_sim.values import Floats
 class Couplings:
     """Joints that follow others: qpos = ratio * (qpos of the leader) + shift."""
 
-    lines: dict[int, Line] = field(default_factory=dict)  # of each follower of one independent joint
-    added: dict[int, int] = field(default_factory=dict)  # tendons of those that no equality ties yet
-    sums: dict[int, Sum] = field(default_factory=dict)  # of joints that follow several others
+    lines: dict[int, Line] = field(default_factory=dict)  # for each follower of one independent joint
+    added: dict[int, int] = field(default_factory=dict)  # tendons of followers that no equality ties yet
+    sums: dict[int, Sum] = field(default_factory=dict)  # for joints that follow several others
 
     def line(self, joint: int) -> Line:
         """The independent joint that ``joint`` follows, or itself, with ratio and shift."""
@@ -34,7 +34,7 @@ class Couplings:
 
 
 def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings) -> Couplings:
-    """Couplings, and those among some joints that fixed tendons with actuators add where they leave it open.
+    """The couplings, and those of joints that they leave open but that actuators on fixed tendons determine.
 
     An actuator on a fixed tendon of length sum c_i q_i determines only how far the stages extend together. It pulls
     stage i with c_i times its force, so similar stages (of equal inertia and friction) move in the ratio of the c_i,

@@ -17,7 +17,7 @@ from lieednn_sim.values import Floats
 #: Distance [m] that planned motions keep from obstacles and between the arm's own parts by default. It allows for
 #: tracking errors of a millimetre or two.
 PLANNED_CLEARANCE = 0.002
-# Change of qpos in which an arm leaves what it is too near to [rad, m]; and what rounding adds to distances [m].
+# Change of qpos within which an arm must leave what it is too near to [rad, m]; and rounding of distances [m].
 _LEFT, _ROUNDING = 0.1, 1e-9
 # Types of geoms whose sizes say where their surfaces are.
 _SIZED = [
@@ -27,12 +27,12 @@ _NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 
 
 class ContactOffsets:
-    """Distances at which geoms begin to push each other: the margins of a model, and what a view says of some pairs.
+    """Distances at which geoms begin to push each other: margins of a model, and those that a view sets for some pairs.
 
-    MuJoCo's margin of two geoms is the sum of theirs, or that of their explicit pair; in a gap beyond it there is a
+    MuJoCo's margin of two geoms is the sum of their own, or that of their explicit pair; in a gap beyond it there is a
     contact without a force.
 
-    ``given`` are offsets of pairs of geoms that are not the model's [m], by the ids of both.
+    ``given`` are offsets [m] that replace the model's for some pairs of geoms, by the ids of both.
     """
 
     def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
@@ -64,9 +64,9 @@ class ContactFinder:
     Args:
         model: copied.
         margin: distance [m] beyond their offset (`ContactOffsets`) below which geoms count as touching.
-        offsets: as of `ContactOffsets`.
-        leaving: ``(nq,)`` where a motion begins, if that is too near to something. Geoms that are closer than the
-            margin there may be as close there, and less so with the distance from there, in qpos.
+        offsets: as for `ContactOffsets`.
+        leaving: positions ``(nq,)`` at which a motion begins, if they are too near to something. Geoms closer than the
+            margin there may be as close at first, and less so with the distance from there in qpos.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class ContactFinder:
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
-        # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
+        # Margins are overridden, not written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
-        # Trees of boxes around bodies' geoms pay where many of these do not move, if what moves is not of balls alone;
-        # else it takes up to a fifth less.
+        # MuJoCo's midphase, trees of boxes around bodies' geoms, pays if many geoms do not move and those that move are
+        # not all spheres; otherwise switching it off saves up to a fifth.
         fixed, moving = model.body_geomnum[model.body_weldid == 0], model.geom_type[moving_geoms(model)]
         if fixed.sum() < 10 or (fixed.max() < 20 and (moving == int(mujoco.mjtGeom.mjGEOM_SPHERE)).all()):
             self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
@@ -95,7 +95,7 @@ class ContactFinder:
             self._lack = margin - self.left(leaving) + _ROUNDING
 
     def left(self, qpos: Floats) -> Floats:
-        """Distances ``(L,)`` of the pairs of geoms that a motion is to leave, at most the margin, at ``(nq,)``."""
+        """Distances ``(L,)`` at ``(nq,)``, up to the margin, of the pairs of geoms that a motion has to leave."""
         least = np.full(len(self._left), self._margin)
         self._found(qpos)
         contact = self._data.contact
@@ -104,7 +104,7 @@ class ContactFinder:
         return least
 
     def _leaving(self, geoms: NDArray[np.int_]) -> NDArray[np.int_]:
-        """Which pair to be left each of ``(C, 2)`` is, or -1."""
+        """The number of each of ``(C, 2)`` among the pairs to be left, or -1."""
         return np.array([self._left.get((min(a, b), max(a, b)), -1) for a, b in geoms.tolist()], dtype=int)
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
@@ -112,15 +112,15 @@ class ContactFinder:
         move_bodies(self._model, places)
 
     def put(self, bodies: NDArray[np.int_], places: Floats) -> None:
-        """As `move`, unchecked: bodies by their ids ``(B,)``, positions ``(B, 3)``."""
+        """`move` without checks: bodies by their ids ``(B,)``, to positions ``(B, 3)``."""
         self._model.body_pos[bodies] = places
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
         """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``.
 
-        Distances are from where the geoms begin to push each other.
+        Distances count from where the geoms begin to push each other.
         """
-        # Nearly always there are none, and making arrays takes as long as finding that out.
+        # There are nearly never any, and making arrays takes as long as finding that out.
         if not self._found(qpos):
             return _NOTHING
         distance = self._distances()
@@ -129,23 +129,23 @@ class ContactFinder:
         return distance[near], self._data.contact.geom[near]
 
     def _distances(self) -> Floats:
-        """Distances ``(C,)`` of the contacts found; those of geoms to be left are greater by what they may lack."""
+        """Distances ``(C,)`` of the contacts found; those of pairs to be left are increased by what they may lack."""
         contact = self._data.contact
         distance: Floats = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
         if not self._left:
             return distance
         still = max(1.0 - float(np.linalg.norm(self._data.qpos - self._begin)) / _LEFT, 0.0)
-        # The last one is for all others.
+        # The last entry is for all other pairs.
         return distance + still * np.append(self._lack, 0.0)[self._leaving(contact.geom)]
 
     def first(self, qpos: Floats) -> int:
         """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
         model, data, position = self._model, self._data, self._data.qpos
-        # `_found` written out, whose call takes a twentieth of a look.
+        # `_found` is written out, since its call would add a twentieth.
         for index, position[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
-            # Of the few there are, Python finds the least in a fifth of NumPy's time.
+            # For so few numbers, Python finds the least in a fifth of NumPy's time.
             if data.ncon and min(self._distances().tolist()) < self._margin:
                 return index
         return len(qpos)
@@ -159,7 +159,7 @@ class ContactFinder:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
         near = self.geoms(qpos)[1]
-        # Not `model.body(...).name`, which takes as long as twenty passes.
+        # `model.body(...).name` would take as long as twenty collision passes.
         names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, k) or "" for k in model.geom_bodyid[near].ravel()]
         return list(dict.fromkeys(zip(names[::2], names[1::2], strict=True)))
 
@@ -199,7 +199,7 @@ def colliding_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
 
 
 def without_clearance(model: mujoco.MjModel) -> str:
-    """What to say of colliding geoms of which no clearance can be kept; empty without any."""
+    """A warning about colliding geoms from which no clearance can be kept; empty without any."""
     blind = colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF))
     shown = ", ".join(repr(geom_name(model, int(geom))) for geom in np.flatnonzero(blind))
     return shown and (
@@ -209,7 +209,7 @@ def without_clearance(model: mujoco.MjModel) -> str:
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """What a geom is called in messages; one without a name is called after its body."""
+    """The name of a geom in messages; a geom without a name is called after its body."""
     return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
 
@@ -237,8 +237,8 @@ def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
 
 
 def grow_bodies(model: mujoco.MjModel, names: Iterable[str], more: float) -> None:
-    """Let the surfaces of bodies' geoms reach further [m], in a model; those of meshes and planes stay."""
-    # The volumes by which MuJoCo passes over distant geoms are turned against these.
+    """Move the surfaces of bodies' geoms outwards [m] in a model; those of meshes and planes stay."""
+    # MuJoCo's bounding volumes are rotated against the geoms, so they grow by the diagonal.
     around = math.sqrt(3.0) * more
     for body in (model.body(name).id for name in names):
         geoms = np.flatnonzero((model.geom_bodyid == body) & np.isin(model.geom_type, _SIZED))

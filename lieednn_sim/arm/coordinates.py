@@ -13,7 +13,7 @@ from lieednn_sim.values import Floats
 
 # A joint that follows another by qpos = ratio * (qpos of the leader) + shift: leader, ratio, shift [rad, m].
 Line = tuple[int, float, float]
-# One that follows several by the sum of ratio * (qpos of the leader), plus a shift: ratios by leader, shift.
+# A joint that follows several by the sum of ratio * (qpos of the leader), plus a shift: ratios by leader, shift.
 Sum = tuple[dict[int, float], float]
 
 
@@ -71,7 +71,7 @@ class Coordinates:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
-            # In a quarter of the time of SciPy's `Rotation`.
+            # This takes a quarter of the time of SciPy's `Rotation`.
             real, vector = quaternion_parts(self.angles(q)[..., None], q[..., self.balls])
             qpos[..., self.ball_addresses[:, :1]], qpos[..., self.ball_addresses[:, 1:]] = real, vector
         return qpos

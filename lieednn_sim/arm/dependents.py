@@ -19,29 +19,29 @@ from lieednn_sim.arm.followers import in_closed_form, loops_of, straight_lines
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_PATH = 100  # rows from which on they are a path's
+_PATH = 100  # number of rows from which on they count as a path
 
 
 class Dependents:
     """The dependent joints of a compiled model, in a given state, and where they are.
 
-    Joints tied to one other joint by an equality are a closed form of it: linear and polynomial followers, chains of
-    them, and leaders that follow the independent joint that they lead by a straight line. The others, in closed
-    loops by connect, weld and tendon equalities, are solved by Newton's method from the state. Loops between joints
-    that the arm does not move relative to each other, such as a gripper's, are left alone.
+    Joints tied to one other joint by an equality have a closed form: linear and polynomial followers, chains of them,
+    and leaders whose linear follower is the independent joint. The others, in closed loops by connect, weld and tendon
+    equalities, are solved by Newton's method from the state. Loops between joints that the arm does not move relative
+    to each other, such as a gripper's, are left alone.
 
     Args:
         model: the compiled model, which is not changed.
         data: its state: which equalities are active, where mocap bodies are, and on which branch the loops are.
-        independent: different ids of the arm's independent hinge, slide and ball joints, one at least.
+        independent: ids of the arm's independent hinge, slide and ball joints, at least one, without repetitions.
 
     Attributes:
         independent: their ids, in the model's order.
         dofs: ``(m,)`` addresses in qvel of the independent rates, three for a ball.
-        moved: ids of the dependent joints that these move, free ones included, in the model's order.
-        lines: of those that follow an independent joint in a straight line, that joint, ratio and shift; of joints in
-            loops, those that do so at random configurations, such as the bars of a scissor or a parallelogram.
-        sums: of joints in loops, those that follow several of them so, such as a wrist that bars keep level.
+        moved: ids of the dependent joints that the independent ones move, free ones included, in the model's order.
+        lines: for joints that follow an independent joint linearly, that joint, ratio and shift; among joints in loops,
+            those that do so at random configurations, such as the bars of a scissor or a parallelogram.
+        sums: the same for joints in loops that follow several of them linearly, such as a wrist that bars keep level.
         has_loops: whether there are closed loops, which may not be closed everywhere.
 
     Raises:
@@ -61,8 +61,8 @@ class Dependents:
         self.moved = tuple(sorted(led | looped))
         self.lines, self.sums = straight_lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
-        # The last rows that were asked for, and their solution: limits and contacts are tested one after another; along
-        # a path in another order, and with few others among them.
+        # The last rows asked for, and their solution: limits and contacts are tested one after another, along a path in
+        # another order, and with a few other rows among them.
         self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
         self._path = dict[bytes, Floats]()
         if equalities:
@@ -78,7 +78,7 @@ class Dependents:
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
-        Where there are loops, rows along a path take the least time. If not ``strict``, rows without solution are NaN.
+        With loops, rows along a path take the least time. If not ``strict``, rows without a solution become NaN.
 
         Raises:
             InputError: the shape is wrong.
@@ -112,7 +112,7 @@ class Dependents:
     def basis(self, qpos: Floats) -> Floats:
         """B ``(..., nv, m)`` with qvel = B qd for the independent rates qd, at rows ``(..., nq)`` of `to_qpos`.
 
-        The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities, and zero those of other joints.
+        The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities; those of other joints are zero.
 
         Raises:
             InputError: the shape is wrong.
@@ -129,8 +129,8 @@ class Dependents:
     def follower_limits(self) -> Floats:
         """Intervals ``(m, 2)`` of the independent coordinates in which linear followers keep within their ranges.
 
-        Infinite where there are none; the ranges of the independent joints themselves, of polynomial followers and of
-        joints in loops are not considered. `InputError` if followers' ranges leave no position.
+        They are infinite without such followers; the ranges of the independent joints themselves, of polynomial
+        followers and of joints in loops are not considered. `InputError` if followers' ranges leave no position.
         """
         model, limits = self._model, np.tile([-np.inf, np.inf], (len(self.dofs), 1))
         for joint, (leader, ratio, shift) in self.lines.items():
@@ -145,7 +145,7 @@ class Dependents:
         return limits
 
     def _find_lines(self, state: Floats, joints: Sequence[int]) -> None:
-        """Add hinges and slides in loops to `lines` and `sums`, found at random configurations, so up to rounding."""
+        """Add hinges and slides in loops to `lines` and `sums` if they are linear at random configurations."""
         model, rows = self._model, np.tile(state, (12, 1))
         scalars = [j for j in self.independent if len(dof_addresses(model, [j])) == 1]
         spans = [model.jnt_range[j] if model.jnt_limited[j] else state[model.jnt_qposadr[j]] + [-1, 1] for j in scalars]
@@ -156,7 +156,7 @@ class Dependents:
         for joint in [j for j in joints if len(dof_addresses(model, [j])) == 1 and len(rows) > len(scalars) + 1]:
             y, x = rows[:, model.jnt_qposadr[joint]], rows[:, model.jnt_qposadr[scalars]]
             design = np.column_stack([x, np.ones(len(x))])
-            # Exact where they are short numbers, such as 1 and 2, since turns are known to repeat then.
+            # Rounded, so that short numbers such as 1 and 2 are exact: turns are then known to repeat.
             *ratios, shift = np.round(np.linalg.lstsq(design, y, rcond=None)[0], 12)
             leads = {j: float(ratio) for j, ratio in zip(scalars, ratios, strict=True) if abs(ratio) > 1e-7}
             if leads and np.abs(design @ [*ratios, shift] - y).max() < 1e-9:

@@ -1,11 +1,11 @@
-"""Deviations of the links' twists, and how far the joints may move when deviated twists are projected onto them.
+"""Deviations of the links' twists, and how far the joints may move if deviated twists are projected onto them.
 
 `Deviations` is a set: each link's twist (omega, v) is off by at most a turn in omega and a shift in v, about each of K
 states. Every bound here is a Lipschitz constant on a ball, proved as follows. On the ball the derivative of the
 projection is bounded under the assumption that the coordinates change by at most some amount; if the bound then says
-that they change by less, they cannot have left that amount on the straight way to any state of the ball. Where the
-argument fails, since the nearest configuration may jump, the bound is infinite.
-For turns and shifts of the poses see step 3 of `docs/mathematics/tube.md`.
+that they change by less, they cannot have left that amount on the straight way to any state of the ball. If the
+argument fails, since the nearest configuration may jump, the bound is infinite. For turns and shifts of the poses see
+step 3 of `docs/mathematics/tube.md`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Deviations:
     twist: Floats  # (K, N, 6) the links' twists [rad, m]
     q: Floats  # (K, n) the joint position onto which they are projected [rad, m]
     size: Floats  # (N, 2) largest turn [rad] and shift [m] of each link
-    slack: Floats  # (K, N, 2) how far, in addition, the state itself may be from the one given
+    slack: Floats  # (K, N, 2) how far the state itself may be from the given one, in addition
     # What was computed for these states, whatever the size; `dataclasses.replace` hands it over.
     known: dict[Any, Any] = field(default_factory=dict)
 
@@ -82,7 +82,7 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
     length 1 is at most T, that of a translation T l + (T S)^(1/2), and M2 the root of the sum of their squares over
     all links. The bound is infinite for ball joints and coupled hinges, and where H may become singular.
 
-    It is the minimum connected with the given one that is bounded; a search may find another that is lower.
+    The bound is for the minimum that is connected with the given one; a search may find another, lower one.
 
     The problem has the links ``(m,)``, and its coordinates the displacements ``offset`` ``(K, c)`` at the given states.
     """
@@ -109,11 +109,11 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
         second = np.sqrt(count * (turning**2 + (turning * longest + np.sqrt(turning * sliding)) ** 2))
         firm = np.maximum(least - second * rho, 0.0)
         left = firm**2 - second * (residual + goal)
-        # With a larger gradient it is no minimum.
+        # With a larger gradient the given configuration is no minimum.
         fails = (left <= 0.0) | (room <= 0.0) | (gradient > 1e-5)
         return np.where(fails, np.inf, firm / np.where(fails, 1.0, left))
 
-    # Changes that the bound just does not exceed, found from below.
+    # The least changes that the bound does not exceed, found from below.
     rho = np.zeros(len(offset))
     for _ in range(8):
         rho = np.minimum(1.02 * gain(rho) * goal, 1e3)

@@ -32,11 +32,11 @@ def least_squares(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 class Residuals:
-    """How far a set of equalities is from being met, and which dependent joints can change that.
+    """The residuals of a set of equalities, and the dependent joints that can change them.
 
     Args:
         model: the compiled model, which is not changed.
-        data: where its mocap bodies are; copied.
+        data: data with the places of its mocap bodies; copied.
         equalities: ids of the equalities.
         joints: ids of the dependent joints.
 
@@ -44,7 +44,7 @@ class Residuals:
         dofs: ``(D,)`` addresses in qvel of the dependent joints.
         known: addresses of the other dofs on which the residual depends.
         involved: both.
-        turning: those of both that are angles.
+        turning: those of the involved dofs that are angles.
         given: addresses in qpos of all joints but the dependent ones.
     """
 
@@ -89,7 +89,7 @@ class Residuals:
         mujoco.mj_integratePos(self._model, qpos, motion, 1.0)
 
     def difference(self, start: Floats, end: Floats) -> Floats:
-        """The motion ``(nv,)`` from one ``(nq,)`` to another."""
+        """The motion ``(nv,)`` from one position ``(nq,)`` to another."""
         change = np.empty(self._model.nv)
         mujoco.mj_differentiatePos(self._model, change, 1.0, start, end)
         return change
@@ -143,7 +143,7 @@ def loop_closures(model: mujoco.MjModel) -> list[int]:
 
 
 def equality_name(model: mujoco.MjModel, equality: int) -> str:
-    """What an equality is called in messages."""
+    """The name of an equality in messages."""
     kind = mujoco.mjtEq(int(model.eq_type[equality])).name.removeprefix("mjEQ_").lower()
     name = model.equality(equality).name
     if name:
@@ -156,7 +156,7 @@ def equality_name(model: mujoco.MjModel, equality: int) -> str:
 
 
 def names(model: mujoco.MjModel, joints: Iterable[int]) -> str:
-    """Joints in messages."""
+    """Names of joints in messages."""
     return ", ".join(repr(model.joint(j).name) if model.joint(j).name else f"joint number {j}" for j in sorted(joints))
 
 
@@ -189,7 +189,7 @@ def _between(model: mujoco.MjModel, bodies: Iterable[int]) -> set[int]:
 
 
 def free_ranges(ranges: Floats, margins: Floats) -> Floats:
-    """Ranges ``(K, 2)`` of joints or tendons without their margins ``(K,)``, from which on MuJoCo pushes back.
+    """Ranges ``(K, 2)`` of joints or tendons, reduced by the margins ``(K,)`` in which MuJoCo pushes back.
 
     What has no margin keeps its range to the last bit; `InputError` if a margin leaves nothing.
     """

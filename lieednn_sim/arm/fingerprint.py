@@ -1,4 +1,4 @@
-"""What of a model affects its motion: fingerprints, a hash of all of it, and a model without what is only drawn."""
+"""What affects the motion of a model: fingerprints, which are hashes of it, and a model without what is only drawn."""
 
 from __future__ import annotations
 

@@ -33,9 +33,9 @@ class Follower:
 
 
 def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:
-    """The chosen joints but those that equalities make followers of others of them.
+    """The chosen joints, without those that equalities make followers of other chosen ones.
 
-    Of several that one joint leads which is not chosen, such as the stages of a telescope by a drum, the first remains.
+    Of several that follow a joint that is not chosen, such as stages of a telescope a drum, the first one is kept.
     """
     leaders = dict(tied_joints(model))
     result, led = [], set[int]()
@@ -55,7 +55,7 @@ def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int
 
 
 def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) -> list[int]:
-    """Those of some joints that can move independently of the ones before them, where closed loops are at ``(nq,)``."""
+    """Those of the joints that can move independently of the ones before them, with closed loops at ``(nq,)``."""
     loops = loop_closures(model)
     if not loops:
         return list(joints)
@@ -88,7 +88,7 @@ def _follower_of(model: mujoco.MjModel, equality: int) -> Follower:
 
 
 def straight_lines(followers: Sequence[Follower], independent: Sequence[int]) -> dict[int, Line]:
-    """The followers in a straight line of an independent joint, directly or through others."""
+    """The linear followers of an independent joint, directly or through others."""
     lines: dict[int, Line] = {joint: (joint, 1.0, 0.0) for joint in independent}
     for follower in followers:
         if follower.leader in lines and len(follower.coefficients) == 2:
@@ -100,7 +100,7 @@ def straight_lines(followers: Sequence[Follower], independent: Sequence[int]) ->
 def in_closed_form(
     model: mujoco.MjModel, equalities: Sequence[int], independent: Sequence[int]
 ) -> tuple[list[Follower], dict[int, int | None], list[int]]:
-    """Followers, each after its leader; the independent joint that each joint follows, or None; other equalities."""
+    """Followers, each after its leader; the independent joint that each joint follows, or None; the rest."""
     roots: dict[int, int | None] = {joint: joint for joint in independent}
     followers, remaining, tied = [], list(equalities), int(mujoco.mjtEq.mjEQ_JOINT)
     while True:
@@ -128,7 +128,7 @@ def in_closed_form(
 def loops_of(
     model: mujoco.MjModel, equalities: Sequence[int], roots: dict[int, int | None]
 ) -> tuple[list[int], set[int]]:
-    """The equalities that involve joints the arm moves, directly or through other joints, and these other joints."""
+    """The equalities that involve joints moved by the arm, directly or through other joints, and these other joints."""
     involved = {equality: involved_joints(model, equality) for equality in equalities}
     moved, chosen = {joint for joint, root in roots.items() if root is not None}, set[int]()
     while more := {e for e, joints in involved.items() if e not in chosen and joints & moved}:

@@ -41,7 +41,7 @@ def disabled_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def actuator_moments(model: mujoco.MjModel) -> Floats:
     """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position; disabled ones: 0."""
     data, moments = scratch_data(model), np.zeros((model.nu, model.nv))
-    # Of mj_forward what moments need.
+    # The parts of mj_forward that moments need.
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_tendon(model, data)
@@ -88,7 +88,7 @@ def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
     motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
-    # There the control is the rate of what acts.
+    # An integrator's control is the rate of what acts.
     motors &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
     by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
     ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
@@ -138,8 +138,8 @@ def required_forces(
     Args:
         qpos: MuJoCo's positions ``(S, nq)``.
         qvel, qacc: its velocities and accelerations ``(S, nv)``; by default at rest.
-        limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
-        grasp: a free body whose forces the body that carries it exerts.
+        limited: whether the forces are those that ``actuatorfrcrange`` limits, which include compensation by actuators.
+        grasp: a free body that is carried; its carrier exerts the forces that it needs.
     """
     data, compensated = scratch_data(model), bool(model.jnt_actgravcomp.any())
     if compensated:

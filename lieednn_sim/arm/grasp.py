@@ -1,4 +1,4 @@
-"""What an arm carries: a free body that moves with the end effector and may touch what it stands on; and a payload.
+"""What an arm carries: a free body that moves with the end effector and may touch what it stands on, and a payload.
 
 The payload is a mass at the end effector's frame: a ball of steel, without collisions and gravity compensation.
 """
@@ -30,7 +30,7 @@ _DEPTH = 5e-4  # how much further than at the start the held body may sink into 
 class Grasp:
     """A free body fixed to the end effector."""
 
-    bodies: tuple[int, ...]  # ids of it, first, and of all bodies that hang from it
+    bodies: tuple[int, ...]  # its id, then those of all bodies that hang from it
     carrier: int  # id of the body that carries it, that of the end effector
     place: scipy.spatial.transform.RigidTransform  # in the end effector's frame
     qpos: int  # address of its free joint's first entry
@@ -44,9 +44,9 @@ def find_grasp(
 ) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
-    The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
-    such as where it is put, but sink into them no deeper than now. What carries it may touch it, and so may other parts
-    of the arm that are that near now. It must be near the hand, unless it is ``tied`` to it.
+    The held body may touch whatever is nearer than the clearance [m] now, and the bodies named in ``touching``, such as
+    the place where it is put, but not sink deeper into them. It may also touch what carries it, and other parts of the
+    arm that are that near now. It must be near the hand, unless it is ``tied`` to it.
 
     Raises:
         InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
@@ -65,7 +65,7 @@ def find_grasp(
     allowed = [known.index(as_choice("body", name, filter(None, known))) for name in touching]
     data = kinematics_at(model, qpos)
     mine, solid = np.isin(model.geom_bodyid, bodies), colliding_geoms(model)
-    # What moves with the arm's base may not be stood on: neither the arm itself nor its hand is below the body.
+    # What moves with the arm's base does not count as ground: the body does not stand on the arm or its hand.
     robot = (model.body_rootid == root) & (model.body_weldid != 0)
     offsets: dict[tuple[int, int], float] = {}
     for distance, (a, b) in zip(*ContactFinder(model, clearance + _DEPTH).geoms(qpos), strict=True):
@@ -73,7 +73,7 @@ def find_grasp(
         if mine[first] and not mine[second]:
             depth = -np.inf if robot[model.geom_bodyid[second]] else min(float(distance), 0.0) - _DEPTH
             offsets[first, second] = min(offsets.get((first, second), 0.0), depth - clearance)
-    # What moves with the hand, such as its fingers, keeps its distance, whatever that is.
+    # Parts that move with the hand, such as its fingers, keep their distance, so any distance is allowed.
     group = moved_together(model, arm.space.rate_addresses)
     hand = group[model.geom_bodyid] == group[carrier]
     stands = np.isin(model.geom_bodyid, allowed)
@@ -82,7 +82,7 @@ def find_grasp(
             offsets.setdefault(pair, offset)
     (place,), (turn,) = tip.poses(data.xpos, data.xmat)
     if not tied:
-        # Between the spheres around geoms; the end effector's frame may be between fingers.
+        # Gaps between the spheres around geoms are measured, since the end effector's frame may be between fingers.
         below = np.isin(model.geom_bodyid, [k for k in range(model.nbody) if carrier in ancestry(model, k)])
         ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
         gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
 _TOLERANCE = 1e-6  # error at which the pose counts as reached [m, rad]
-_ATTEMPTS, _MOST, _STEPS = 8, 32, 60  # attempts if none of them comes near a solution, and otherwise; steps of each
+_ATTEMPTS, _MOST, _STEPS = 8, 32, 60  # attempts if none comes near a solution, and at most; steps of each
 
 
 def solve_ik(
@@ -32,7 +32,7 @@ def solve_ik(
 ) -> Floats:
     """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
 
-    Before each attempt `reporting` is told how many are done, and how many are made at most.
+    Before each attempt `reporting` gets the number of attempts done and the largest number.
 
     Args:
         arm: the arm.
@@ -59,8 +59,8 @@ def ik_candidates(
 ) -> list[Floats]:
     """Several joint positions ``(n,)`` as from `solve_ik`, the one that is reached soonest first.
 
-    The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
-    none. The search ends with four different positions, or after 32 attempts; after 8 if none of them came near.
+    The measure is the time that the slowest joint needs at its velocity limit or, without one, at its range in a
+    second. The search ends with four different positions, or after 32 attempts; after 8 if none of them came near.
 
     Args:
         arm: the arm.
@@ -78,7 +78,7 @@ def ik_candidates(
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
     result: list[Floats] = []
     for q in _Search(arm, goal, path_constraint, rest).solutions(seed, several=True):
-        # Others differ by more than a thousandth of a joint's range.
+        # Different solutions differ by more than a thousandth of a joint's range.
         if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in result):
             result.append(q)
         if len(result) == 4:
@@ -123,7 +123,7 @@ class _Search:
         self, arm: Arm, goal: _Point | TaskSpaceRegion, path_constraint: TaskSpaceRegion | None, start: Floats
     ) -> None:
         self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
-        # Solutions are sought a little inside of a region, so that they are in it.
+        # Solutions are sought a little inside of a region, so that they are in it in spite of the tolerance.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
         self._data, self._tip, self._basis = scratch_data(arm.model), arm.frames[-1:], tangent_basis(arm.space)
         self._zero = np.zeros(arm.model.nq)
@@ -192,7 +192,7 @@ class _Search:
         each, n = np.arange(len(balls))[:, None], len(q)
         q, distance = arm.within_angles(q), np.inf
         angles = arm.space.angles(q)
-        # Of the chain alone: other joints do not move the end effector.
+        # Only the chain's joints are set: others do not move the end effector.
         data.qpos[:] = arm.space.to_qpos(q)
         for _ in range(_STEPS):
             error, slopes = self._evaluate()
@@ -200,11 +200,11 @@ class _Search:
             if distance < _TOLERANCE:
                 break
             slopes = slopes * spread
-            # At most that at 3 m or rad, so that steps to what is far away are long.
+            # The damping is at most that of an error of 3 m or rad, so that steps to distant goals are long.
             hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, min(square, 9.0) + 1e-9
             hessian.flat[:: n + 1] += damping
-            # Of the many solutions of a redundant arm, one that is near: until it is close, part of the damping is from
-            # there. Without that, the last steps lead to the next solution.
+            # To find a solution of a redundant arm near ``near``, part of the damping pulls there until a solution is
+            # close; without this pull, the last steps lead to the nearest solution.
             if square > 1e-4:
                 gradient += 0.3 * damping * (q - near) / spread
             bounded = q
@@ -214,11 +214,11 @@ class _Search:
                 bounded = np.concatenate([q, angles])
             step, *_ = daqp.solve(hessian, gradient, rows, (high - bounded) / widths, (low - bounded) / widths)
             left = error + slopes @ step
-            # No solution lies ahead where a step leaves nearly all of the error.
+            # There is no solution ahead if a step leaves nearly all of the error.
             if square - left @ left < 1e-3 * square:
                 break
             mujoco.mj_integratePos(arm.model, data.qpos, self._basis @ (spread * step), 1.0)
-            # The coordinates, at a tenth of the cost of `from_qpos` where there are ball joints.
+            # The coordinates, at a tenth of the cost of `from_qpos` with ball joints.
             mujoco.mj_differentiatePos(arm.model, rates, 1.0, self._zero, data.qpos)
             moved = rates[own]
             q = np.minimum(np.maximum(moved, low[:n]), high[:n])
@@ -231,7 +231,7 @@ class _Search:
 
     def _refusal(self, q: Floats) -> str:
         """Why the arm cannot be at a solution ``(n,)``; empty if it can."""
-        # Of what follows the joints; they themselves are within their limits.
+        # Only what follows the joints can exceed its range; they themselves are within their limits.
         excess = self._arm.limit_excess(q)
         if excess.max() > 0.0:
             return f"; at the solutions found {self._arm.describe_excess(q, int(excess.argmax()))}"
@@ -239,7 +239,7 @@ class _Search:
         return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
     def _nearest(self, closest: Floats) -> Floats:
-        """The coordinates ``(n,)`` of least error found, without ball joints; `_descend` ends where none reaches."""
+        """The coordinates ``(n,)`` of least error, without ball joints; `_descend` gives up where no solution is."""
 
         def square(q: Floats) -> tuple[float, Floats]:
             self._data.qpos[:] = self._arm.space.to_qpos(q)

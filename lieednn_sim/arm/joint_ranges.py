@@ -1,4 +1,4 @@
-"""Ranges of the joints of a chain, where the joints that follow them and the logarithm leave any."""
+"""Ranges of the joints of a chain, within what the joints that follow them and the logarithm allow."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
-_DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
-_ENDLESS = 1e3  # half a range from which on there is none [rad, m]
+_DEFAULT = 0.95 * np.pi  # range of a hinge or ball joint that has none
+_ENDLESS = 1e3  # half a range from which on it counts as none [rad, m]
 
 
 def drop_endless_ranges(model: mujoco.MjModel, notes: list[str]) -> None:
@@ -38,11 +38,11 @@ def joint_ranges(
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint of links' ``groups``; new and narrowed ones are added to ``notes``.
 
-    A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
-    either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
-    joints, are narrowed to 0.99 pi, where the logarithm is still unique. About the positions ``around`` ``(nq,)``
-    hinges without a range may make a turn in each direction; ``within`` are ranges ``(2,)`` that bound some joints
-    besides, of joints elsewhere that follow them. `InputError` if a slide has no range, or nothing is left of a range.
+    A coordinate may move as far as all joints that it moves allow. A hinge or ball joint without a range gets 0.95 pi
+    to either side of its reference. A hinge alone in its link keeps its range, whatever it is; without one it may make
+    a turn in each direction from the positions ``around`` ``(nq,)``. Other hinges, and ball joints, are narrowed to
+    0.99 pi, where the logarithm is still unique. ``within`` are further bounds ``(2,)`` of some joints, from joints
+    elsewhere that follow them. `InputError` if a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
@@ -81,9 +81,9 @@ def narrow_to_servos(
 ) -> Floats:
     """The limits ``(n, 2)`` of the coordinates within which position servos can hold them.
 
-    Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Those
-    count that act on one coordinate, on which nothing else acts, where they are at ``qpos`` ``(nq,)``. `InputError` if
-    nothing is left of a range.
+    Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Only
+    servos count that act on a single coordinate, on which nothing else acts, evaluated at ``qpos`` ``(nq,)``.
+    `InputError` if nothing is left of a range.
     """
     rates, q, held = constant_moments(model) @ tangent_basis(space), space.from_qpos(qpos), limits.copy()
     data = scratch_data(model)
@@ -99,7 +99,7 @@ def narrow_to_servos(
             lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
             low, high = np.sort(q[k] + (lengths - data.actuator_length[a]) / rates[a, k])
             held[k] = max(low, held[k, 0]), min(high, held[k, 1])
-    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # not by a file's rounding, such as 6.2831 for 2 pi
+    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # beyond the rounding in a file, such as 6.2831 for 2 pi
     for k in np.flatnonzero(narrower.any(axis=1)).tolist():
         name, before, after = space.names[k], *("[{:.4g}, {:.4g}]".format(*span[k]) for span in (limits, held))
         if held[k, 0] >= held[k, 1]:

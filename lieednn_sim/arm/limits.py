@@ -1,6 +1,6 @@
-"""Limits besides the positions of coordinates: of rates, and the ranges of what else an arm moves.
+"""Limits other than those of positions: rates, and the ranges of what else an arm moves.
 
-Limits of rates are a model's custom numerics, those that a caller gives, and accelerations that force limits leave.
+Limits of rates are a model's custom numerics, those that the caller gives, or accelerations that force limits allow.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def check_rates(limits: Any) -> None:
 def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats, viewed: bool) -> Floats:
     """A custom numeric of the model with as many values as ``default``, all of them positive.
 
-    In a model of which the arm is a view, one with another number of values is for another arm, and left out.
+    In a viewed model, a numeric with another number of values belongs to another arm, and is ignored.
     """
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, field)
     values = default.copy() if index < 0 else np.array(model.numeric(index).data)
@@ -69,7 +69,7 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
     """
     inertia = largest_inertia(model, configurations, rates)
     load = np.abs(np.vecmat(required_forces(model, configurations, limited=True), rates)).max(axis=0)
-    # A limit of zero would allow no motion; where an actuator cannot hold its load, plans and runs say so.
+    # A limit of zero would allow no motion; if an actuator cannot hold its load, plans and runs report that.
     known = (force > load) & (inertia > 0.0)
     # Half of the spare force: the rest is for friction and coupling to other joints.
     return np.where(known, 0.5 * (force - load) / np.where(known, inertia, 1.0), np.inf)
@@ -79,7 +79,7 @@ class Stops:
     """The ranges of joints that an arm moves by loops or curves and of limited tendons, in a compiled model.
 
     Args:
-        joints: ids of the dependent joints; those with a range count, and that all can be solved.
+        joints: ids of the dependent joints; those with a range count.
         moving: ids of all joints that the arm moves: limited tendons between them count.
         loops: whether rows may be NaN, because loops cannot be closed there.
     """
@@ -95,7 +95,7 @@ class Stops:
         self._data = mujoco.MjData(model) if self._tendons else None
 
     def __len__(self) -> int:
-        """How many ranges there are, one more for loops."""
+        """Number of ranges, plus one if there are loops."""
         return len(self._low) + self._loops
 
     def excess(self, qpos: Floats) -> Floats:
@@ -110,7 +110,7 @@ class Stops:
         return excess.reshape(*qpos.shape[:-1], len(self))
 
     def describe(self, qpos: Floats, index: int) -> str:
-        """The message that one of them is beyond its range at ``(nq,)``."""
+        """The message that the range with an index is exceeded at ``(nq,)``."""
         value, low, high = self._values(qpos[None])[0, index], self._low[index], self._high[index]
         if index >= len(self._joints):
             tendon = self._model.tendon(self._tendons[index - len(self._joints)])

@@ -1,8 +1,8 @@
 """Retraction in real time, for states that arrive one after another: Newton's method from the last configuration.
 
 `Retractor` takes milliseconds to find the configuration nearest to any poses; here it is known to be near the last one.
-All links are computed at once: the given poses and those of all joints are the exponentials of one stack of twists. For
-T = M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
+All links are computed at once: the given poses and those of all joints are exponentials of one stack of twists. With T
+= M_1 ... M_F over a link's joints with twists Z_f, the derivatives of T are M_1 ... Z_f M_f ... M_F.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie.se3 import hat, skew
 from lieednn_sim.values import Floats
 
-# Step of the central difference for rates [s]: neither rounding nor the third derivative is seen in ten digits.
+# Step of the central difference for rates [s]: neither rounding nor the third derivative affects ten digits.
 _AHEAD = 1e-4
 # Unit of length, in the network's unit, in which squared entries of a pose have the weights of the metric.
 _UNIT = np.sqrt(0.5)
@@ -91,7 +91,7 @@ class LocalRetraction:
         self._step, self.q = np.zeros(n), q
 
     def __reduce__(self) -> tuple[type[LocalRetraction], tuple[Arm, Floats]]:
-        # In a copy entry by entry the views would be arrays of their own.
+        # Copied entry by entry, the views would become arrays of their own.
         return LocalRetraction, (self._arm, self.q)
 
     @property

@@ -161,7 +161,7 @@ class ModelArm(SerialArm):
 
     @cached_property
     def unsupported(self) -> Self:
-        """This arm for what is said of distances: a held body has none from what it may touch, as what it stands on."""
+        """This arm, to measure distances without those of a held body from what it may touch, such as its support."""
         if self.grasp is None:
             return self
         return replace(self, grasp=replace(self.grasp, offsets=dict.fromkeys(self.grasp.offsets, -np.inf)))
@@ -327,7 +327,7 @@ class ModelArm(SerialArm):
         """This view of a model, with a free body that its end effector carries from its place in ``home`` on.
 
         The body moves with the end effector, and may touch what carries it. It keeps the clearance from all else,
-        except from what it stands on, whatever is nearer than the clearance now: it may touch that, but sink no deeper.
+        except that it may touch, but not sink deeper into, what is nearer than the clearance now, such as its support.
 
         Args:
             body: name of a body with a free joint.

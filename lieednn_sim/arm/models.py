@@ -61,7 +61,7 @@ def find_model(arm: StrPath, options: ImportOptions) -> ModelFile:
 
     The name of a model file may be followed by links, as in ``robot.urdf:wrist,tool``, which become part of the arm's
     name. A description is a mapping in YAML or JSON: ``model`` is the file, relative to the description or absolute,
-    and the rest are `ImportOptions`, over which the given ones take precedence. `FileError` if there is no such
+    and the rest are `ImportOptions`; ``options`` take precedence over them. `FileError` if there is no such
     description, or it is malformed; `InputError` if the arm is unknown, or one of the package, with options.
     """
     path = as_path("the name of an arm", arm)

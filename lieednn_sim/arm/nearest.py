@@ -1,4 +1,4 @@
-"""Least squares on SE(3): coordinates of a chain whose poses are nearest to given ones, also for whole trajectories."""
+"""Least squares on SE(3): coordinates of a chain whose poses are nearest to given ones, also along trajectories."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieednn_sim.lie.se3 import skew
 from lieednn_sim.values import Floats
 
 _LONG = 0.2  # a stride along a path is shorter if a coordinate would move more than this in it [rad, m]
-# Where poses determine the coordinates this well, by the least singular value, strides may be longer.
+# Strides may be longer if the least singular value, which tells how well poses determine coordinates, exceeds this.
 _CLEAR = 2.0 * NEARLY_SINGULAR
 
 
@@ -56,12 +56,12 @@ class NearestPose:
         goal = self._stack(rotation, translation).reshape(-1, 12 * len(self._joints))
         q = self._descend(np.zeros((len(goal), len(self._indices))), goal)
         value = self._value(q, goal)
-        # At a minimum this far off there may be a lower one.
+        # If a minimum is this far off, there may be a lower one.
         far = np.flatnonzero(value > 0.1)
         for start in self._starts(goal[far]) if far.size else ():
             other = self._descend(start, goal[far])
             lower = self._value(other, goal[far])
-            # Of minima that are equal up to rounding the first one is taken.
+            # If minima are equal up to rounding, the first one is taken.
             better = lower < value[far] * (1.0 - 1e-9)
             q[far[better]], value[far[better]] = other[better], lower[better]
         wound = self._periodic & (np.abs(q) > np.pi)
@@ -71,11 +71,11 @@ class NearestPose:
     def follow(self, rotation: Floats, translation: Floats, near: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Displacements ``(K, ..., c)`` along paths of poses ``(K, ..., m, 3, 3)`` and ``(K, ..., m, 3)``.
 
-        The first is the minimum next to ``near`` ``(..., c)``, each other one that next to its predecessor; or, with
-        guesses ``near`` ``(K, ..., c)`` along the path, each is that next to its guess. So if several configurations
-        have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a turn. Where poses
-        hardly determine the coordinates, these go straight on (`singularities.straighten`), which the second result
-        ``(K, ...)`` marks.
+        The first is the minimum next to ``near`` ``(..., c)``, and each other one the minimum next to its predecessor;
+        or, with guesses ``near`` ``(K, ..., c)`` along the path, each is the minimum next to its guess. So if several
+        configurations have the same poses, as the two of a wrist, the branch is kept, and hinges may exceed half a
+        turn. Where poses hardly determine the coordinates, these go straight on (`singularities.straighten`), which the
+        second result ``(K, ...)`` marks.
         """
         goal = self._stack(rotation, translation).reshape(len(translation), -1, 12 * len(self._joints))
         if near.ndim == translation.ndim - 1:
@@ -125,7 +125,7 @@ class NearestPose:
         return np.asarray(scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal))))
 
     def _leap(self, q: Floats, goal: Floats, known: list[int], longest: int) -> int:
-        """Go straight on from the last two samples to where poses determine coordinates; returns that sample, or 0."""
+        """Extrapolate from the last two samples to where poses determine coordinates; returns that sample, or 0."""
         last = known[-1]
         if len(known) < 2:
             return 0
@@ -148,10 +148,10 @@ class NearestPose:
         for _ in range(6):
             gradient, inverse = self._quadratic(q[moving], goal[moving])
             step = (inverse @ gradient[..., None])[..., 0]
-            # Long steps are outside the range of the quadratic model.
+            # Long steps are not taken, since they leave the range of the quadratic model.
             step = np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
             q[moving] -= step
-            # After a step of this size the next one, its square, is rounding.
+            # After a step of this size, the next one, about its square, would be rounding.
             moving = moving[np.abs(step).max(axis=-1) > 1e-9]
             if not moving.size:
                 break
@@ -271,9 +271,9 @@ class NearestPose:
         )
 
     def _quadratic(self, q: Floats, goal: Floats, rate: Floats | None = None) -> tuple[Floats, Floats]:
-        """The gradient ``(B, c)`` of f / 2, and the pseudo-inverse of its Hessian: undetermined coordinates stay.
+        """The gradient ``(B, c)`` of f / 2, and the pseudo-inverse of its Hessian, so undetermined coordinates stay.
 
-        With rates of stacked poses ``(B, 12m)``, in place of the gradient their product with the Jacobian.
+        With rates of stacked poses ``(B, 12m)``, their product with the Jacobian takes the gradient's place.
 
         With Y = R (R - R_goal)^T / 2 and e = p - p_goal, the second derivatives of the poses T_i contribute, for joints
         a before b, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2. Within a ball joint

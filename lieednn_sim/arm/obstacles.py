@@ -26,12 +26,12 @@ from lieednn_sim.validation import TURN, as_choice, as_floats, as_path, as_posit
 from lieednn_sim.values import Floats, StrPath
 
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
-# Obstacles in a list, and goals.
+# Largest number of obstacles in a list; and the prefix of goals.
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
-_FARTHEST, _LARGE = 200.0, 10.0  # from the origin, and from the own centre [m]
-_REACHES = 20.0  # that an obstacle may be away without a warning
+_FARTHEST, _LARGE = 200.0, 10.0  # largest distances from the origin and from the own centre [m]
+_REACHES = 20.0  # largest distance of an obstacle without a warning [reaches of the arm]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -77,7 +77,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
         spec.delete(key)
     for site in spec.sites:
         if site.name.startswith(_GOAL):
-            site.group = _HIDDEN  # drawn, it would look like an obstacle
+            site.group = _HIDDEN  # if drawn, it would look like an obstacle
     try:
         model = compile_spec(spec)
     except FileError as error:

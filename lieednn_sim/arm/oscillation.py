@@ -1,8 +1,8 @@
-"""What swings and bends: joints that nothing drives, where they rest, and their free oscillations, by MuJoCo's model.
+"""Passive joints, which swing and bend: where they rest, and their free oscillations, by MuJoCo's model.
 
-They are hinges, slides and balls of the model in one kinematic tree with the arm that no coordinate, actuator or
-equality moves: a hook on a link, an elastic stage, a springy base. Driven joints are taken as held where they are, and
-free bodies, ranges of passive joints and dry friction are left out.
+They are the hinges, slides and balls in the arm's kinematic tree that no coordinate, actuator or equality moves, such
+as a hook on a link, an elastic stage or a springy base. Driven joints are assumed to be held where they are; free
+bodies, ranges of passive joints and dry friction are left out.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ class PassiveJoints:
 
     @cached_property
     def sprung(self) -> NDArray[np.bool_]:
-        """Which of them ``(m,)`` have a spring: they bend, the others swing."""
+        """Which of these dofs ``(m,)`` have a spring: they bend, the others swing."""
         model = self.arm.model
         return np.asarray(model.jnt_stiffness[model.dof_jntid[self.dofs]] > 0.0)
 
     @cached_property
     def bodies(self) -> NDArray[np.bool_]:
-        """Which bodies ``(nbody,)`` hang: those behind a passive joint without a spring."""
+        """Which bodies ``(nbody,)`` hang, that is are behind a passive joint without a spring."""
         model, hanging = self.arm.model, np.zeros(self.arm.model.nbody, dtype=bool)
         hanging[model.dof_bodyid[self.dofs[~self.sprung]]] = True
         for body, parent in enumerate(model.body_parentid):  # parents come first
@@ -80,17 +80,17 @@ class PassiveJoints:
 
     @cached_property
     def load_model(self) -> mujoco.MjModel:
-        """A copy of the model in which nothing collides but what hangs, with what does not move.
+        """A copy of the model in which only hanging bodies collide, and only with what does not move.
 
-        Pairs are those of MuJoCo's filter. A body that hangs and collides with nothing counts by what MuJoCo draws of
-        it, the geoms of groups 0 to 2, against all that collides and is drawn.
+        Pairs are those of MuJoCo's filter. If a hanging body has no colliding geoms, those that MuJoCo draws, of groups
+        0 to 2, collide with all geoms that collide and are drawn.
         """
         model, body = copy.deepcopy(self.arm.model), self.arm.model.geom_bodyid
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
         load, solid, drawn = self.bodies[body], (types | affinities) != 0, model.geom_group < 3
         still = moved_together(model, np.append(self.arm.dofs, self.dofs))[body] == 0
         shown = drawn & ~np.isin(body, body[solid])
-        # Bits of their own for each direction of the filter, which has 31.
+        # Each direction of the filter, which has 31 bits, gets bits of its own.
         model.geom_contype[:] = np.where(load, types | affinities << 15 | shown.astype(int) << 30, 0)
         model.geom_conaffinity[:] = np.where(still, affinities | types << 15 | (solid & drawn).astype(int) << 30, 0)
         return model
@@ -103,7 +103,7 @@ class PassiveJoints:
         return result
 
     def away(self, qpos: Floats, rest: Floats) -> Floats:
-        """Displacements ``(S, m)`` of the passive joints from where they rest, ``(nq,)`` or ``(S, nq)``."""
+        """Displacements ``(S, m)`` of the passive joints from their ``rest`` ``(nq,)`` or ``(S, nq)``."""
         result, step = np.empty((len(qpos), len(self.dofs))), np.empty(self.arm.model.nv)
         for k, (there, here) in enumerate(zip(np.broadcast_to(rest, qpos.shape), qpos, strict=True)):
             mujoco.mj_differentiatePos(self.arm.model, step, 1.0, there, here)
@@ -111,11 +111,11 @@ class PassiveJoints:
         return result
 
     def forces(self, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
-        """Forces ``(S, m)`` that a motion would need at these joints, by inverse dynamics; in a free one, zero."""
+        """Forces ``(S, m)`` that a motion needs at these joints, by inverse dynamics; zero in a free motion."""
         return required_forces(self.arm.model, qpos, qvel, qacc)[:, self.dofs]
 
     def slopes(self, over: str, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
-        """Slopes ``(S, m, m)`` of `forces` over passive ``position``, ``velocity`` or ``acceleration``: differences."""
+        """Derivatives ``(S, m, m)`` of `forces` in passive ``position``, ``velocity`` or ``acceleration``."""
         count, m, which = len(qpos), len(self.dofs), ("position", "velocity", "acceleration").index(over)
         step = (1e-5, 1.0, 1.0)[which]  # forces are at most quadratic in velocities
         sides = np.tile(step * np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
@@ -129,10 +129,10 @@ class PassiveJoints:
         return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / (2.0 * step)
 
     def at_rest(self, qpos: Floats) -> Floats:
-        """Positions ``(S, nq)`` with the passive joints where they rest, stably: Newton's method on their energy.
+        """Positions ``(S, nq)`` with the passive joints at stable rest, by Newton's method on their energy.
 
         Raises:
-            NoSolutionError: they rest nowhere, as a free slide on a slope does.
+            NoSolutionError: they have no position of rest, like a free slide on a slope.
         """
         result = np.array(qpos)
         if not len(self.dofs):
@@ -140,7 +140,7 @@ class PassiveJoints:
         for _ in range(50):
             curvature, axes = np.linalg.eigh(self.slopes("position", result))
             pull = np.vecmat(self.forces(result), axes)
-            # Downhill, also near the unstable rest; along what moves freely there is neither force nor stiffness.
+            # Steps go downhill, also near an unstable rest; free motions have neither force nor stiffness.
             neutral = np.abs(curvature) < 1e-6 * np.abs(curvature).max(axis=1, keepdims=True) + 1e-9
             if (neutral & (np.abs(pull) > 1e-3)).any():
                 break
@@ -153,7 +153,7 @@ class PassiveJoints:
         raise NoSolutionError(f"nothing drives {joints}, which rest nowhere: hang, spring or drive them")
 
     def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
-        """Free oscillations at a configuration ``(n,)``, slowest first; overdamped and neutral motions have none.
+        """Free oscillations at a configuration ``(n,)``, slowest first, without overdamped and neutral motions.
 
         They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`.
 
@@ -165,7 +165,7 @@ class PassiveJoints:
         return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()
 
     def modes_at(self, rest: Floats) -> tuple[Mode, ...]:
-        """`modes` at positions ``(nq,)`` of `at_rest`, for one passive joint at least."""
+        """`modes` at positions ``(nq,)`` of `at_rest`, if there is a passive joint."""
         m, kinds = len(self.dofs), ("position", "velocity", "acceleration")
         stiffness, damping, inertia = (self.slopes(kind, rest[None])[0] for kind in kinds)
         system = np.eye(2 * m, k=m)
@@ -180,9 +180,9 @@ class PassiveJoints:
 
 
 def with_load(arm: _Arm, mass: float = 1.0, length: float = 1.0) -> _Arm:
-    """An arm with another load: factors of the mass of what hangs (`PassiveJoints.bodies`), and of how far it hangs.
+    """An arm with another load, by factors on the mass of what hangs (`PassiveJoints.bodies`) and on how far it hangs.
 
-    Distances from the joints at which it hangs change, sizes do not.
+    Distances from the joints that it hangs at change, but not sizes.
 
     Raises:
         InputError: a factor is not positive.

@@ -51,15 +51,15 @@ def read_arm(
 ) -> dict[str, Any]:
     """The fields of an `Arm` that its model determines; ``arm`` is its name, for messages.
 
-    Without a chain, that of the sites base_frame, link1_frame, ... is read, by the model's own ranges and equalities.
+    Without a chain, the one of the sites base_frame, link1_frame, ... is read, with the model's ranges and equalities.
 
     `InputError` if the model is not an arm.
 
     Args:
-        rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines, sums: of the joints of a chain, and others, that follow one or several joints of it.
+        rest: ``(nq,)``, at which the other joints stay; by default the keyframe ``home``.
+        lines, sums: how joints, of the chain or others, follow one joint or several joints of the chain.
         ranges: the range ``(2,)`` of each joint of a chain.
-        notes: which of these were made or narrowed.
+        notes: which of the ranges were made or narrowed.
     """
     check_numbers(model)
     # MuJoCo would silently integrate split steps, as of controllers, by Euler's method.
@@ -96,7 +96,7 @@ def read_arm(
         "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited, viewed),
         "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited, viewed),
         "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited, viewed),
-        "force_limits": np.minimum(-weakest, strongest),  # what can be exerted in both directions
+        "force_limits": np.minimum(-weakest, strongest),  # the force that is available in both directions
         "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1), viewed)[0]),
         "frames": BodyFrames.of(chain.frames[1:]),
     }

@@ -1,4 +1,4 @@
-"""Retraction: the joint position nearest to given per-joint poses, in closed form where there is one.
+"""Retraction: the joint position nearest to given per-joint poses, in closed form if there is one.
 
 All joints use one metric: for an angle and a shift between the given and the feasible pose, the squared distance is
 4 sin^2(angle / 2) + ||shift||^2 / length^2, which equals angle^2 + ||shift||^2 / length^2 up to fourth order in the
@@ -56,7 +56,7 @@ class Retraction:
 
 
 class Retractor:
-    """Retracts the poses of compound joints; a length [m] counts as much as a radian where a pose cannot be met."""
+    """Retracts poses onto compound joints; in the distance, a ``length`` [m] counts as much as a radian."""
 
     def __init__(self, joints: CompoundJoints, length: float) -> None:
         self._joints = joints
@@ -94,7 +94,7 @@ class Retractor:
     def spread(self, deviations: Deviations) -> Floats:
         """Largest changes ``(K, G)`` of the `groups` when the twists deviate; infinite where nothing is proved.
 
-        Smaller deviations change them less in proportion.
+        Smaller deviations change them in proportion or less.
         """
         offset = replace(deviations, q=deviations.q - self._joints.reference)
         return np.concatenate([solver.spread(offset) for solver in self._solvers], axis=1)

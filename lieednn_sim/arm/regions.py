@@ -28,8 +28,8 @@ class TaskSpaceRegion:
 
     The end effector's pose is T = W D O with a fixed offset O. The coordinates of D are its translation along the axes
     of W, and angles about these axes: D rotates about x first, then about y, then about z, all of them fixed axes, so
-    that the rotation is Rz Ry Rx. So the tilt of z depends on the first two angles alone: with a free third angle, the
-    region holds what turns about z. Equal bounds fix a coordinate, and infinite ones leave it free.
+    that the rotation is Rz Ry Rx. So the tilt of z depends on the first two angles alone; with a free third angle, the
+    region contains all turns about z. Equal bounds fix a coordinate, and infinite ones leave it free.
 
     Attributes:
         pose: W, the region's frame in the world.
@@ -182,7 +182,7 @@ class TaskSpaceRegion:
         return self._pose(rng.uniform(low, high))
 
     def within(self, margin: float) -> TaskSpaceRegion:
-        """This region with bounds moved inwards by a margin [m, rad]; where they would cross, both to their middle."""
+        """This region with bounds moved inwards by a margin [m, rad], or to their middle where they would cross."""
         inset = np.minimum(as_nonnegative("margin", margin, _FARTHEST), 0.5 * (self.upper - self.lower))
         return TaskSpaceRegion(self.pose, self.lower + inset, self.upper - inset, self.offset)
 
@@ -218,7 +218,7 @@ class TaskSpaceRegion:
         return self.pose.inv().as_matrix(), self.offset.inv().as_matrix()
 
     def _angles(self, rotation: Floats) -> Floats:
-        """Angles ``(..., 3)`` about x, y and z of rotations: of the triples with the same rotation the nearest one."""
+        """Angles ``(..., 3)`` about x, y and z of rotations; of several triples, the one nearest to the bounds."""
         r = rotation
         level = np.hypot(r[..., 0, 0], r[..., 1, 0])
         clear = level > 1e-12

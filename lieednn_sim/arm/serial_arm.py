@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SerialArm:
-    """The coordinates, limits and kinematics of an arm, as a chain of links that compound joints move.
+    """The coordinates, limits and kinematics of an arm: a chain of links that compound joints move.
 
     Link frame i is link frame i-1 times a fixed mount,
     T_i(q) and a fixed tip; frame 0 is that of the base. q in R^n holds one coordinate for a hinge or slide and
@@ -43,7 +43,7 @@ class SerialArm:
         mounts: fixed poses, shape ``(N,)``, from link frame i-1 to joint frame i.
         tips: fixed poses, shape ``(N,)``, from joint frame i to link frame i at the reference position.
         position_limits: ``(n, 2)`` [rad, m].
-        velocity_limits: ``(n,)`` [rad/s, m/s]; infinite, as are the next three, where the model gives none.
+        velocity_limits: ``(n,)`` [rad/s, m/s]; these and the next three are infinite where the model gives none.
         acceleration_limits: ``(n,)`` [rad/s^2, m/s^2].
         jerk_limits: ``(n,)`` [rad/s^3, m/s^3].
         force_limits: ``(n,)`` [N m, N].
@@ -98,7 +98,7 @@ class SerialArm:
 
     @property
     def jump_speeds(self) -> Floats:
-        """Speeds ``(n,)`` beyond which targets jump: the velocity limits, without one 10 rad/s or m/s."""
+        """Speeds ``(n,)`` beyond which targets jump: the velocity limits, or 10 rad/s or m/s without one."""
         return np.where(np.isfinite(self.velocity_limits), self.velocity_limits, 10.0)
 
     @property
@@ -124,7 +124,7 @@ class SerialArm:
         return tuple(self.model.key(k).name for k in range(self.model.nkey))
 
     def configuration(self, q: ArrayLike | str, what: str = "q") -> Floats:
-        """Joint coordinates ``(n,)``: those given, or those of the keyframe of that name."""
+        """Joint coordinates ``(n,)``: the given ones, or those of a keyframe that is given by its name."""
         return self.keyframe(q) if isinstance(q, str) else as_floats(what, q, (self.n_joints,))
 
     def limit_excess(self, q: Floats) -> Floats:
@@ -144,12 +144,12 @@ class SerialArm:
         if len(balls):
             angle = self.space.angles(q)[..., None]
             if (beyond := angle > high[balls]).any():
-                # To a little less, so that rounding does not lead beyond it.
+                # Clipped to a little less, so that rounding does not lead beyond the limit.
                 inside[..., balls] *= np.where(beyond, (1.0 - 1e-15) * high[balls] / (angle + 1e-300), 1.0)
         return inside
 
     def check_position(self, q: ArrayLike | str, what: str = "q") -> Floats:
-        """The `configuration` of ``q``, within the limits; else raise `InputError` with the joint, value and range."""
+        """Return the `configuration` of ``q``; outside the limits, raise `InputError` with joint, value and range."""
         position = self.configuration(q, what)
         outside = self.limit_excess(position)
         worst = int(outside.argmax())
@@ -203,7 +203,7 @@ class SerialArm:
         return self.compose(self.joint_poses(q))
 
     def compose(self, joint_poses: RigidTransform) -> RigidTransform:
-        """World poses of the link frames from per-joint poses of shape ``(..., N)``, feasible or not."""
+        """World poses of the link frames from per-joint poses ``(..., N)``, which need not be feasible."""
         moved = self.mounts.as_matrix() @ joint_poses.as_matrix() @ self.tips.as_matrix()
         frame, frames = self.base.as_matrix(), []
         for i in range(self.n_links):
@@ -239,7 +239,7 @@ class SerialArm:
 
         The twist is (omega, v): the angular velocity [rad/s] and the velocity of the frame's origin [m/s], both along
         the axes of the world (Lynch and Park's spatial twist has the velocity at the world's origin, v - omega x p). A
-        column's units are those by those of its joint's rate; a ball joint's are by the rates of its rotation vector.
+        column is the twist per unit rate of its coordinate; for a ball joint, that of its rotation vector.
 
         Args:
             q: joint coordinates ``(..., n)`` [rad, m].
@@ -261,8 +261,8 @@ class SerialArm:
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of T_i(q), ``(..., n)`` to ``(..., N, 6)``.
 
-        They are Log T_i(q); or, for a link that moves along one screw, such as behind a hinge, the screw times its
-        coordinate, however far it turns.
+        They are Log T_i(q) or, for a link that moves along one screw, such as behind a single hinge, the screw times
+        its coordinate, however far it turns.
         """
         return self.joints.twists(as_floats("q", q, (self.n_joints,), batched=True)) / self.twist_units
 
@@ -270,7 +270,7 @@ class SerialArm:
         """Nearest joint positions to network coordinates ``(..., N, 6)``, their rates along ``xi_dot``, and the gap.
 
         With a joint position ``start`` ``(n,)``, coordinates ``(K, ..., N, 6)`` are followed along their first axis: of
-        several equally near configurations, the one that continues the path is taken. With guesses ``(K, ..., n)``, it
+        several equally near configurations, the one that continues the path is taken. With guesses ``(K, ..., n)`` it
         is the one next to its guess, which takes less time.
         """
         shape = (self.n_links, 6)

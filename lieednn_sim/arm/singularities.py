@@ -1,7 +1,7 @@
 """Joint paths through nearly singular configurations, in which poses hardly determine the coordinates of a joint.
 
-When the first and third of four hinges in one link align, the pose determines only the sum of their angles. To follow
-exactly a path of poses that passes close by, the hinges would turn abruptly, at any speed and to any angle. There the
+When the first and third of four hinges in one link align, the pose determines only the sum of their angles. To follow a
+path of poses exactly that passes close by, the hinges would turn abruptly, at any speed and to any angle. There the
 coordinates minimise instead
 
     sum_k f_k(q_k) + sum_k w_k ||q_{k+1} - 2 q_k + q_{k-1}||^2,     w_k = v^2 (r n_k)^4 (1 - s_k^2 / v^2)_+^4

@@ -9,7 +9,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.values import Floats
 
-_GROWING = 1.01  # in one step, far more than rounding or a link that falls
+_GROWING = 1.01  # growth in one step, far more than that by rounding or of a falling link
 
 
 def without_stops(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -33,7 +33,7 @@ def step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
 
 
 def step_remedy(model: mujoco.MjModel, qpos: Floats) -> str:
-    """What makes the steps of a model unstable at rest at ``(nq,)``, and what would not; empty if nothing is found."""
+    """What makes the steps of a model unstable at rest at ``(nq,)``, and a remedy; empty if nothing is found."""
     model = without_stops(copy.deepcopy(model))
     option = model.opt
     if step_growth(model, qpos) < _GROWING:

@@ -1,4 +1,4 @@
-"""What a state of a compiled model says of an arm's surroundings, and which bodies an arm moves as one."""
+"""What a state of a compiled model says about an arm's surroundings, and which bodies an arm moves as one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def home_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
-    """A copy of a model in which mocap bodies are where a state has them, and equalities are on that are on there."""
+    """A copy of a model, with mocap bodies where a state has them, and the equalities active that are active in it."""
     own = copy.deepcopy(model)
     for body in np.flatnonzero(model.body_mocapid >= 0):
         mocap = model.body_mocapid[body]
@@ -52,7 +52,7 @@ def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
 
 
 def moved_together(model: mujoco.MjModel, dofs: NDArray[np.int_]) -> NDArray[np.int_]:
-    """For each body ``(nbody,)`` the first of those that some dofs move as one with it; zero for what they leave."""
+    """For each body ``(nbody,)``, the first one that some dofs move as one with it; zero if they do not move it."""
     moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
     moving[dofs] = True
     # Parents come before their children.
@@ -68,9 +68,9 @@ def rigid_groups(
 ) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
     """A copy of a model for distances, and pairs of geoms that do not count in it.
 
-    What the arm does not move is fixed in the copy: welded to the world, by ``body_weldid``, which MuJoCo's collision
-    filter uses and kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor those
-    that the filter leaves out in the model: a link and its parent, even if that is fixed now.
+    What the arm does not move is welded to the world in the copy, by ``body_weldid``, which MuJoCo's collision filter
+    uses but kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor do those that
+    the filter leaves out in the model: a link and its parent, even if that is fixed now.
 
     The arm moves ``dofs``; ``carried`` are the ids of a body with a free joint that is carried, and of those that hang
     from it. The pairs have the offset -inf (`contacts.ContactOffsets`).

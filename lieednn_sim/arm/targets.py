@@ -1,4 +1,4 @@
-"""Random joint targets for a scene: free of contact, and where it has goals, behind, in or between its obstacles."""
+"""Random joint targets for a scene: free of contact and, if it has goals, behind, in or between its obstacles."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
     """Draw a random joint target ``(n,)`` at which everything keeps the arm's clearance.
 
     Without obstacles: uniform within the joint limits, or, where every compound joint has six dofs, uniform in the
-    network's coordinates. With obstacles there is a distance of `TARGET_CLEARANCE` from them, less where it is less at
-    home, and where the scene has goal boxes the end effector is at a uniform point of one, not far from home.
+    network's coordinates. With obstacles the arm keeps `TARGET_CLEARANCE` from them, or less where it is nearer at
+    home; if the scene has goal boxes, the end effector is at a uniform point of one, not far from home.
 
     Raises:
         InputError: the seed is invalid.
@@ -63,14 +63,14 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
 
 
 def goes_to_extended(arm: Arm) -> bool:
-    """Whether the arm's usual target is its keyframe ``extended``; else a random one is, as among obstacles."""
+    """Whether the arm's usual target is its keyframe ``extended``; otherwise, as among obstacles, a random one is."""
     return arm.scene == "free" and "extended" in arm.keyframes
 
 
 def reference_configuration(arm: Arm) -> Floats:
     """The keyframe ``extended`` ``(n,)``; without one, halfway from home to each joint's farther limit.
 
-    It need not be free of contact: it is for networks and demonstrations that are independent of the scene.
+    It may touch something: it is for networks and demonstrations that do not depend on the scene.
     """
     if "extended" in arm.keyframes:
         return arm.keyframe("extended")
@@ -84,7 +84,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     near, tight = Counter[tuple[str, str]](), 0
     collisions, home = None if arm.scene == "free" else Collisions(arm), arm.keyframe("home")
     for attempt in range(_ATTEMPTS):
-        # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
+        # If the joint ranges are too small for the paper's distribution, fall back to that of other arms.
         if arm.retractor.exact and attempt < _ATTEMPTS // 2:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:

@@ -49,12 +49,12 @@ def read_view(
     limits: Mapping[str, Mapping[str, float]] | None = None,
     name: str = "arm",
 ) -> View:
-    """Some joints of a model as an arm, by their names or those of the links that they move; arguments as for `Arm.of`.
+    """Read some joints of a model as an arm, by their names or those of their links; arguments are as for `Arm.of`.
 
-    ``name`` is the arm's in messages.
+    ``name`` is the arm's name in messages.
 
     Raises:
-        InputError: the joints are not an arm's, or a name is unknown.
+        InputError: the joints do not form an arm, or a name is unknown.
         NoSolutionError: the state is not near a solution of the equalities, or at a dead centre.
     """
     if (joints is None) == (links is None) or (links is not None and tip is not None):
@@ -84,7 +84,7 @@ def read_view(
             raise InputError(f"the tip {tip!r} is not carried by the last link, {last.name!r}")
     held, weld = _welded(own, data, dependents, end.body)
     if held is not None:
-        # It is carried: a rigid part of the hand, without any iterations.
+        # The body is carried as a rigid part of the hand, without solving the weld.
         state = mujoco.MjData(own)
         mujoco.mj_copyData(state, own, data)
         state.eq_active[weld] = 0
@@ -150,7 +150,7 @@ def _chain(
                 f"joint {model.joint(joint).name!r} is not on the way to body {model.body(longest[-1]).name!r}: an arm "
                 "is one chain; leave out the joints of its hand"
             )
-    # A telescope's last stages may follow the one that is named.
+    # The last stages of a telescope may follow the named one.
     path = max((paths[joint] for joint in paths if paths[joint][: len(longest)] == longest), key=len)
     arm = {*dependents.independent, *dependents.lines, *dependents.sums}
     chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
@@ -164,7 +164,7 @@ def _chain(
 
 
 def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence[int], chain: Sequence[int]) -> None:
-    """Raise `InputError` for joints from the base to the end effector that others move, but not in a straight line."""
+    """Raise `InputError` for joints from the base to the end effector that follow others, but not linearly."""
     on_way = {joint for body in bodies for joint in joints_of(model, body)}
     for joint in sorted(on_way.intersection(dependents.moved).difference(chain)):
         raise InputError(
@@ -175,7 +175,7 @@ def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence
 
 
 def _check_links(model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings) -> None:
-    """Raise `InputError` where joints that follow another one alone move another link than that."""
+    """Raise `InputError` if joints that follow a single other one move a different link than it does."""
     link = {joint: i for i, group in enumerate(groups, start=1) for joint in group}
     for follower, (leader, _, _) in couplings.lines.items():
         if link.get(follower, link.get(leader)) != link.get(leader):
@@ -203,12 +203,12 @@ def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, 
 def _samples(fields: Mapping[str, Any], count: int) -> Floats:
     """Random configurations ``(count, n)`` within the limits."""
     low, high = fields["position_limits"].T
-    shrink = 0.57 if len(fields["space"].balls) else 1.0  # half of a ball joint's box is inside of its largest angle
+    shrink = 0.57 if len(fields["space"].balls) else 1.0  # puts half of a ball joint's box inside of its largest angle
     return np.random.default_rng(0).uniform(shrink * low, shrink * high, (count, len(low)))
 
 
 def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Floats:
-    """The model's limits ``(n,)``, or where it has none those that its actuators' forces leave."""
+    """The model's limits ``(n,)``; where it has none, those that its actuators' forces allow."""
     given, force = fields["acceleration_limits"], fields["force_limits"]
     if np.isfinite(given).all() or not np.isfinite(force).any():
         return np.array(given)

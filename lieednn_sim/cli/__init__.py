@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # isort: off
-from lieednn_sim.cli import starting  # noqa: F401, before all that takes its time
+from lieednn_sim.cli import starting  # noqa: F401, first, before the slow imports
 # isort: on
 
 import contextlib
@@ -23,7 +23,7 @@ from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
 _DESCRIPTION = """Plan the motion of a robot arm with LieEDNN networks that carry a proof of global
 stability, simulate it in MuJoCo, render and evaluate it."""
-#: The commands by groups, and the modules with their functions; a function's signature and docstring are its options.
+#: The commands by groups, with the modules of their functions; signature and docstring of a function give its options.
 COMMANDS = {
     "one motion": {
         "demo": "commands",
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # From here on a terminated run cleans up like an interrupted one.
         with interruption:
             code = int(call() or 0)
-            # An output that takes no more is noticed here, not at exit.
+            # A failure of the output is noticed here, not at exit.
             print(end="", flush=True)
         return code if interruption.received is None else interruption.report()
     except KeyboardInterrupt:
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             # The output's reader closed it, as in `lieednn-sim demo | head`.
             return 141
         if isinstance(error, OSError) and not isinstance(error, LieEDNNError):
-            # Of the system: no more open files, processes or space.
+            # An error of the system: too many open files or processes, or a full disk.
             failed = "cannot write to the standard output" if _output_failed() else "the system does not permit this"
             error = FileError(f"{failed}: {error.strerror or error}")
         elif isinstance(error, MemoryError):
@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def bind(words: Sequence[str]) -> Callable[[], Any]:
-    """A call of what the words ask for: a command, the help or the version; raises as `parser.bind`."""
+    """The call that the words ask for: a command, the help or the version; raises as `parser.bind`."""
     command = words[0] if words else ""
     if command in ("", "-h", "--help"):
         return lambda: print(parser.overview(_DESCRIPTION, COMMANDS))
@@ -98,9 +98,9 @@ def bind(words: Sequence[str]) -> Callable[[], Any]:
 def _output_failed() -> bool:
     """Whether the standard output can no longer be written, as on a full disk."""
     try:
-        print(flush=True)  # flushing alone tells nothing of an output without a buffer
+        print(flush=True)  # flushing alone does not test an unbuffered output
     except OSError:
-        # What waits there would fail again at exit.
+        # Buffered text would fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return True
     return False
@@ -110,9 +110,9 @@ class Interruption:
     """Context, for the main thread, in which the first SIGINT or SIGTERM raises `KeyboardInterrupt`.
 
     A second signal ends the process at once. Objects that an interruption leaves half released, such as an OpenGL
-    context, may raise when Python disposes of them; these errors are not printed in the block, nor after the ``last``
-    one, at whose end the process ends. ``received`` is the signal, if any: libraries may swallow the exception, or make
-    another one of it.
+    context, may raise when Python deletes them; these errors are not printed in the block or, if it is the ``last`` one
+    before the process ends, after it. ``received`` is the signal, if any: libraries may swallow the exception or turn
+    it into another one.
     """
 
     def __init__(self, *, last: bool = False) -> None:
@@ -124,7 +124,7 @@ class Interruption:
         self._unraisable = sys.unraisablehook
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                # A shell's background job ignores Ctrl-C.
+                # A background job of a shell ignores Ctrl-C, and must go on doing so.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
         return self
@@ -153,6 +153,6 @@ def say(message: str) -> None:
     try:
         print(f"lieednn-sim: {message}", file=sys.stderr, flush=True)
     except OSError:
-        # What waits there would fail again at exit, with another exit code.
+        # Buffered text would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

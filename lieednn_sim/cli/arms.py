@@ -1,4 +1,4 @@
-"""The commands ``arms``, the arms of the package in a table or one in full, and ``view``, an arm in the browser."""
+"""The commands ``arms``, which lists the arms or describes one, and ``view``, which shows an arm in the browser."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lieednn_sim.values import Floats
 
 
 def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, "*"]) -> None:
-    """List the arms of the package, or describe one of them or that of a file.
+    """List the arms of the package, or describe one of them or an arm from a file.
 
     Without a name, the arms of the package are listed.
 
@@ -83,7 +83,7 @@ def view(
         console.print(f"view: {page.url} (Ctrl-C ends it)")
         print_import_report(shown)
         sys.stdout.flush()
-        # Without a window `webbrowser` may start a browser in this terminal.
+        # Without a display `webbrowser` may start a text browser in this terminal.
         windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
         if browser and windows:
             page.open()

@@ -1,4 +1,4 @@
-"""The commands of the pipeline, each of which reads a run directory and writes into it, and ``export``."""
+"""``demo``, the commands that read a run directory and write into it, and ``export``."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ def export(
         format: a name of `FORMATS`.
         rate: samples per second (default: every step of the simulation).
         output: directory of the files.
-        episodes: record so many successful episodes of the expert of the learning environment TelescopicReach-v0
-            instead; for lerobot.
+        episodes: number of successful episodes to record instead, of the expert of the learning environment
+            TelescopicReach-v0; for lerobot.
         recorded: the episodes.
     """
     chosen = FORMATS.require(format)
@@ -228,7 +228,7 @@ def _evaluate(run: RunDirectory) -> tuple[Rollout, Evaluation, list[Path]]:
 
 
 def _render(run: RunDirectory, path: Path, look: Look) -> None:
-    """Write what the suffix of the path says: a page, a picture or a video."""
+    """Write a page, a picture or a video, by the suffix of the path."""
     task, arm = run.load_task()
     rollout = run.load_rollout(task, arm)
     if path.suffix != ".html":

@@ -22,7 +22,7 @@ from lieednn_sim.studies.report import View, choose_problems, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm
 from lieednn_sim.validation import as_count
 
-# What is written beside the table.
+# Files that are written beside the table.
 _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
 
 
@@ -106,7 +106,7 @@ def _print_found(study: Comparison) -> None:
 
 
 def _views(table: Table[Row], problems: Sequence[Sequence[Case]], controller: str) -> list[View]:
-    """Views of problems; prints why one cannot be shown."""
+    """Views of problems; prints the reason if one cannot be shown."""
     views: list[View] = []
     for cases in problems:
         try:

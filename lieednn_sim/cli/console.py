@@ -26,8 +26,8 @@ class _Console(Console):
         raise BrokenPipeError  # handled by `main`; rich would exit with 1
 
 
-# Output contains the user's texts, paths and messages: [brackets] and :colons: in it are not markup. In a terminal long
-# lines are broken between words.
+# Output contains the user's texts, paths and messages, in which [brackets] and :colons: are no markup. In a terminal,
+# long lines are broken between words.
 console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=not sys.stdout.isatty())
 
 
@@ -38,9 +38,9 @@ def to_stderr() -> Console:
 
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[None]:
-    """Show a progress bar on stderr, if that is a terminal, of what the block reports (`budget.report`).
+    """Show a progress bar of the work that the block reports (`budget.report`), if stderr is a terminal.
 
-    Until then, only the time is shown.
+    Until the first report, only the time is shown.
     """
     description = TextColumn("{task.description:<10}", markup=False)
     columns = (description, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -52,25 +52,25 @@ def progress(what: str) -> Iterator[None]:
 
 
 def print_import_report(arm: Arm, *, whole: bool = False) -> None:
-    """Print the report of an imported arm, in a few lines or as a whole; nothing for another arm."""
+    """Print the report of an imported arm, in a few lines or as a whole; nothing for arms of the package."""
     if arm.import_report is not None:
         console.print(f"{arm.name}, imported from {arm.source.name}:")
         console.print(str(arm.import_report) if whole else _summary(arm.import_report, str(arm.source)))
 
 
 def _summary(report: ImportReport, file: str) -> str:
-    """A report in four lines at most, of which the last says how to read the whole."""
+    """A report in at most four lines; the last one says how to read the whole report."""
     kept = sum(servo.kept for servo in report.servos)
     driven = f"{kept} kept, {len(report.servos) - kept} made"
     lines = [f"  links {', '.join(report.links)} on {report.base}; actuators: {driven}"]
-    # Without the long list of which bodies come near each other.
+    # Without the long list of bodies that come near each other.
     seen = [textwrap.shorten(text.partition(", between ")[0], 120, placeholder=" ...") for text in report.remarks]
     lines += [f"  look at: {text}" for text in seen[:2]]
     return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike, *, whole: bool = True) -> None:
-    """Print how stable the equilibrium found from ``xi`` is, or every condition, and bounds on pushes and targets."""
+    """Print how stable the equilibrium found from ``xi`` is; if ``whole``, all conditions and robustness bounds."""
     verdict = str(network.assess(xi))
     console.print(f"stability: {verdict if whole else verdict.splitlines()[0]}")
     if whole:

@@ -119,7 +119,7 @@ def learn(
 
 
 def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: RunDirectory, **how: Any) -> None:
-    """Read, fit, compare with rivals, and write network, ``report.json`` and two plots."""
+    """Read, fit and compare with rivals; write network, ``report.json`` and two plots."""
     rivals = list(RIVALS) if reading.rivals is None else [name for name in reading.rivals if name != "none"]
     for name in rivals:
         RIVALS.find(name)
@@ -178,7 +178,7 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
 
 
 def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run: RunDirectory, **how: Any) -> None:
-    """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
+    """Read, fit and measure; write a run with network and motion, ``report.json`` and two plots."""
     options = ShapingOptions(rate=fitting.clock_rate)
     arm = chosen.load()
     rate, unit = fitting.sample_rate, fitting.time_unit
@@ -233,7 +233,7 @@ def _print_verdict(learned: ShapedMotion | JointMotion) -> None:
 
 
 def _learned(learned: ShapedMotion | JointMotion) -> dict[str, Any]:
-    """What a report says of the network."""
+    """The entries of a report about the network."""
     response = learned.response
     return {
         "network_message": learned.shaping.message,

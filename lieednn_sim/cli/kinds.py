@@ -1,4 +1,4 @@
-"""How values are read from the command line, by the annotation of what takes them.
+"""How values are read from the command line, by the annotation of the parameter that takes them.
 
 Numbers are plain ASCII decimals, a subset of what Python accepts.
 """
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
-# What takes them checks their range, and whether such a thing exists.
+# Functions that take these values check their range, and whether the files exist.
 Directory = str
 File = str
 Point = tuple[float, ...]
@@ -57,7 +57,7 @@ def numbers(text: str, count: int) -> tuple[float, ...]:
 
 
 def names(text: str) -> list[str]:
-    """Comma-separated names; what follows a model's colon belongs to the last one, as in ``arm.xml:link,tool``."""
+    """Comma-separated names; all names after a model's colon belong to the model, as in ``arm.xml:link,tool``."""
     parts = text.split(",")
     links = (k for k, part in enumerate(parts) if ":" in part and ".py:" not in part)
     last = next(links, len(parts) - 1)
@@ -74,7 +74,7 @@ def named_numbers(text: str) -> dict[str, float]:
 
 
 def number_or_word(text: str) -> float | str:
-    """A number, where the text ends like one."""
+    """A number if the text ends like one, else the text."""
     return decimal(text) if re.search(r"[0-9]\.?$", text) else text
 
 
@@ -97,7 +97,7 @@ def force(text: str) -> Force:
 
 
 def flag(text: str) -> bool:
-    """Whether it is true."""
+    """A truth value, from ``true`` or ``false``."""
     if text not in ("true", "false"):
         raise ArgumentTypeError(f"must be true or false, got {text!r}")
     return text == "true"
@@ -106,8 +106,8 @@ def flag(text: str) -> bool:
 class Kind(NamedTuple):
     """How a value is read."""
 
-    read: Callable[[str], Any]  # its value from a text; raises `ArgumentTypeError`
-    metavar: str  # what stands for it in the help
+    read: Callable[[str], Any]  # maps a text to the value; raises `ArgumentTypeError`
+    metavar: str  # placeholder for the value in the help
     action: str = "store"  # of `argparse`: ``append`` and ``extend`` let each use of the option add to the value
     words: bool = False  # whether it is a list of several words
 

@@ -42,7 +42,7 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
 
 
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
-    """A call of a command's function with what the words say, of which what is not given has the function's default.
+    """A call of a command's function with the arguments in the words; all others have the function's defaults.
 
     Raises:
         InputError: the words are wrong.
@@ -62,7 +62,7 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
 
 
 def _planner_help(words: Sequence[str]) -> str:
-    """What ``--option`` takes for the planner that the words name, a line for each."""
+    """The values of ``--option`` for the planner that the words name, a line for each."""
     parts = [part for word in words for part in word.split("=", 1)]
     named = [after for part, after in pairwise(parts) if part == "--planner"]
     entry = next((registry.PLANNERS.entries[name] for name in named if name in registry.PLANNERS.entries), None)
@@ -82,13 +82,13 @@ def _settings(taken: Iterable[Parameter], within: str = "") -> Iterator[str]:
 
 
 def near(word: str, known: Iterable[str]) -> str:
-    """A question that names the known word which is nearest to another one, if any is."""
+    """A question that names the known word nearest to a word; empty if none is near."""
     close_matches = difflib.get_close_matches(word, list(known), 1)
     return f", did you mean {close_matches[0]}?" if close_matches else ""
 
 
 def make_parser(source: Definition) -> argparse.ArgumentParser:
-    """The parser of a command: its function's parameters, those in groups under a title of their own."""
+    """The parser of a command, with its function's parameters; each group has its own title."""
     taken = parameters(source)
     summary, _, more = source.docstring.partition("Args:")[0].partition("\n")
     words = [(each.option.upper(), each.required) for each in taken if each.positional]
@@ -141,9 +141,9 @@ def _default(taken: Parameter) -> str:
 
 
 def _filled(text: str) -> str:
-    """The text with the names that there are in place of "a name of PLANNERS", or of another registry.
+    """The text with all names in place of "a name of PLANNERS", or of another registry.
 
-    At the end of the text, or before its default, each has a line and says what it is.
+    At the end of the text, or before its default, each name has a line with its description.
     """
 
     def listed(reference: re.Match[str]) -> str:
@@ -159,7 +159,7 @@ def _filled(text: str) -> str:
 
 
 def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The given arguments by the parameters' names, with those of groups made."""
+    """The given arguments by the parameters' names; those of a group become one object."""
     values: dict[str, Any] = {}
     for each in taken:
         if each.group:
@@ -174,7 +174,7 @@ def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str
 
 
 class _Parser(argparse.ArgumentParser):
-    """Raises `InputError` for wrong words, and takes several numbers of which the first is negative for a value."""
+    """Raises `InputError` for wrong words, and accepts a list of numbers that begins with a minus sign as a value."""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)

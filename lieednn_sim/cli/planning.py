@@ -47,7 +47,7 @@ def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "resul
 def plan_run(
     run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0
 ) -> tuple[Plan, str, list[Path]]:
-    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given.
+    """Plan, and write the results; ``usual`` are options of ``lieednn-certified`` that ``planning`` may override.
 
     Returns the plan, a line on planner and target, and the files written.
     """
@@ -99,7 +99,7 @@ def plan_run(
 
 
 def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan, str, list[Path]]:
-    """Plan a motion of the end effector that was learned, and write what is made."""
+    """Plan a learned motion of the end effector, and write the results."""
     if planning.planner or planning.option or planning.path_constraint or planning.settle:
         raise InputError("--learned takes no --planner, --option, --path-constraint or --settle: the motion is known")
     learned, goal = LearnedMotion.load(planning.learned or ""), None
@@ -133,9 +133,9 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan
 
 
 def print_plan(result: Plan, head: str, clearance: Clearance, arrival: str, *, verbose: bool = False) -> None:
-    """Print a verdict in one line, and what to look at of a plan; if verbose, all that is known and proved of it.
+    """Print a verdict in one line and the main facts of a plan; if verbose, all that is known and proved about it.
 
-    ``head`` is that of `plan_run`; clearance and arrival are those of the plan, or of a run that followed it.
+    ``head`` is the line of `plan_run`; clearance and arrival are those of the plan, or of a run that followed it.
     """
     network, motion = result.network, result.motion
     proof = "certified" if network is not None and network.certified else "no certificate"

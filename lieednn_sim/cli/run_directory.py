@@ -1,8 +1,8 @@
 """The directory of a run, and its task.
 
-Task, network, motion, rollout and metrics are made from each other in that order. Task, network and motion replace
-those of an older run together, and its other results go. The task knows the motion that was made for it, and a rollout
-the motion that it followed, so that files of different runs are never mixed.
+Task, network, motion, rollout and metrics are made in this order, each from those before it. A new task, network and
+motion replace those of an older run together, and its other results are removed. The task identifies the motion that
+was made for it, and a rollout the motion that it followed, so that files of different runs are never mixed.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ class Task:
     arm: str
     start: tuple[float, ...]  # joint position at rest [rad, m]
     target: tuple[float, ...]  # joint target [rad, m]
-    duration: float  # of the motion [s]
+    duration: float  # duration of the motion [s]
     scene: str = "free"
     scene_seed: int = 0
     imported: ImportOptions = field(default_factory=ImportOptions)
     planner: str = "lieednn-certified"  # a name of `planning.PLANNERS`, or ``train`` or ``learn``, the commands
     reason: str = ""  # why this planner was chosen
-    seed: int = 0  # of its random draws
+    seed: int = 0  # seed of the planner's random draws
     options: Mapping[str, Any] = field(default_factory=dict)  # its other options by name, as JSON values
     model: str = ""  # `Arm.fingerprint` of the arm
     motion: str = ""  # `fingerprint` with the motion that was made for the task; empty without one
-    # Of the packages with which the task was made.
+    # Versions of the packages with which the task was made.
     versions: Mapping[str, str] = field(default_factory=lambda: versions(optional=True))
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ class RunDirectory:
     def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
         """The directory, created if needed and locked against other commands; raises as `io.output_folder`.
 
-        If it is shared, others may come in that only write results, as this one does.
+        A shared lock admits other commands that, like this one, only write results.
         """
         return io.output_folder(self.path, "run", shared=shared)
 
@@ -176,8 +176,8 @@ class RunDirectory:
     ) -> list[Path]:
         """Write the task and the results for it, and remove all other files of the run.
 
-        The task is the first to go and the last to appear: a process that is killed in between leaves no run, rather
-        than a mixture of two. Returns the files written.
+        The task is removed first and written last: a process that is killed in between leaves no run, rather than a
+        mixture of two. Returns the files written.
         """
         if motion is not None:
             task = replace(task, motion=task.fingerprint(motion))

@@ -1,7 +1,7 @@
-"""What a command's options are: the parameters of its function, read from the source, where nothing is imported.
+"""The options of a command: the parameters of its function, read from the source without importing anything.
 
-The packages behind a command take more than a second to load, which its help must not. So an option of a command is
-what a parameter says where it is defined.
+The packages behind a command take more than a second to import, which is too long for its help. So annotation, default
+and text of an option are read where its parameter is defined.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 class Definition(NamedTuple):
-    """A name that a module defines: a function, a class or a constant; ``node`` is what the module says there."""
+    """A name that a module defines: a function, a class or a constant; ``node`` is its syntax tree."""
 
     module: str
     node: Any  # ast.FunctionDef, ast.ClassDef or ast.expr
@@ -36,18 +36,18 @@ class Parameter:
     """A parameter of a function, or a field of a dataclass."""
 
     name: str
-    kind: str  # its annotation without None, a name of `kinds.KINDS`; empty where it is a group of other parameters
+    kind: str  # its annotation without None, a name of `kinds.KINDS`; empty for a group of other parameters
     help: str  # its text in the docstring
     option: str  # its name on the command line
-    positional: bool = False  # whether it is given by its place
+    positional: bool = False  # whether it is a positional argument
     required: bool = False  # whether it has no default
-    default: Any = None  # as far as its source tells
-    group: tuple[Parameter, ...] = ()  # what its value is made of, if it is a dataclass or a mapping
+    default: Any = None  # its default, if that can be read from the source
+    group: tuple[Parameter, ...] = ()  # the parameters of its value, if that is a dataclass or a mapping
     makes: Definition | None = None  # the class of which a group is made; None for a mapping
 
 
 def find(module: str, name: str) -> Definition | None:
-    """The definition of a name in a module of this package, also where that imports it from another one."""
+    """The definition of a name in a module of this package, which may import it from another module."""
     for node in _tree(module).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
             return Definition(module, node)
@@ -63,7 +63,7 @@ def find(module: str, name: str) -> Definition | None:
 def parameters(source: Definition) -> list[Parameter]:
     """The parameters of a function in their order, or the fields of a dataclass and its bases.
 
-    Those that are neither of a kind of `kinds.KINDS`, nor a dataclass, nor ``Annotated``, are left out.
+    Parameters are left out unless they are of a kind of `kinds.KINDS`, a dataclass, or ``Annotated``.
     """
     result: dict[str, Parameter] = {}
     for base in source.node.bases if isinstance(source.node, ast.ClassDef) else ():
@@ -92,7 +92,7 @@ def _entries(node: ast.AST) -> Iterator[_Entry]:
             if argument.annotation is not None:
                 yield argument.arg, argument.annotation, default, positional
     elif isinstance(node, ast.ClassDef):
-        # All that a TypedDict names may be left out.
+        # Every key of a TypedDict may be omitted.
         mapping = any(isinstance(base, ast.Name) and base.id == "TypedDict" for base in node.bases)
         for line in node.body:
             if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
@@ -151,7 +151,7 @@ def _value(module: str, node: ast.expr) -> Any:
 
 
 def descriptions(docstring: str) -> dict[str, str]:
-    """What the docstring says of each argument or attribute, in one line and without marks of code."""
+    """The docstring's text on each argument or attribute, in one line and without backquotes."""
     section = re.search(r"^(?:Args|Attributes):\n(.*?)(?=^\S|\Z)", docstring, re.MULTILINE | re.DOTALL)
     entries = re.findall(r"^    (\w+): (.*(?:\n {5,}.*)*)", section[1] if section else "", re.MULTILINE)
     return {name: " ".join(text.replace("`", "").split()).rstrip(".") for name, text in entries}

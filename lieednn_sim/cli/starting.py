@@ -1,14 +1,14 @@
-"""Signals before and after the work of a command end it at once, as other programs, without a traceback."""
+"""Lets signals before and after the work of a command end it at once without a traceback, as other programs do."""
 
 from __future__ import annotations
 
-# The built-in half of `signal`, which would import others first.
+# The built-in part of `signal`, which itself imports other modules first.
 import _signal as signal  # type: ignore[import-not-found]
 import sys
 
-# Only where this package is the program: the installed command, or `python -m`, also while it looks for the module.
+# Only if this package is the program: the installed command, or `python -m`, whose argv[0] is "-m" during the search.
 _ENDS = ("lieednn-sim", "lieednn-sim.exe", "lieednn_sim/__main__.py", "lieednn_sim\\__main__.py")
 _program = sys.argv[:1] == ["-m"] or "".join(sys.argv[:1]).endswith(_ENDS)
-# Not if a shell's background job ignores it.
+# Not in a background job of a shell, which ignores Ctrl-C.
 if _program and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -68,7 +68,7 @@ def train(
 
 
 def _train(run: RunDirectory, goal: Goal, learning: Learning, verbose: bool) -> int:
-    """Learn from one seed after the other; save the first network, and the first whose motion keeps the limits."""
+    """Learn from seed after seed; save the first network, and the first one whose motion keeps the limits."""
     arm = goal.load()
     start, aim = goal.start_and_goal(arm)
     target = next(candidates(arm, aim, start))

@@ -21,7 +21,7 @@ from lieednn_sim.values import Floats, StrPath
 
 
 class Commands:
-    """Turns actions into commanded positions, and these into the controls of position servos, as `ArmTask` describes.
+    """Turns actions into commanded positions, and these into controls of position servos, as `ArmTask` describes.
 
     `InputError` if the arm is not driven by position actuators on joints or fixed tendons.
     """
@@ -32,26 +32,26 @@ class Commands:
         self._damping = arm.model.dof_damping.copy()
         self._low, self._high = arm.position_limits.T
         self._timestep = substeps * arm.timestep
-        # What a control step can move at most.
+        # The largest motion of a control step.
         self._travel = self._timestep * arm.velocity_limits
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
         self._alone = None if len(arm.space.balls) else self._coefficients()
 
     def moved(self, command: Floats, action: Floats) -> Floats:
-        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from those before them."""
+        """Commanded positions ``(..., n)`` after actions ``(..., n)``, from the commanded positions before."""
         root = np.minimum(np.maximum(action, -1.0), 1.0)
         end = command + self._travel * root * np.abs(root)
         end = np.minimum(np.maximum(end, self._low), self._high)
         return self._arm.within_angles(end) if len(self._arm.space.balls) else end
 
     def towards(self, command: Floats, goal: Floats) -> Floats:
-        """Actions ``(..., n)`` that bring commanded positions ``(..., n)`` to others, or as far as one step can."""
+        """Actions ``(..., n)`` that move commanded positions ``(..., n)`` to a goal, or as far as one step can."""
         fraction = np.minimum(np.maximum((goal - command) / self._travel, -1.0), 1.0)
         return np.copysign(np.sqrt(np.abs(fraction)), fraction)
 
     def controls(self, start: Floats, end: Floats) -> Floats:
-        """Controls ``(..., substeps, nu)`` that lead servos between commanded positions ``(..., n)``."""
+        """Controls ``(..., substeps, nu)`` that move the servos from commanded positions ``(..., n)`` to others."""
         if self._alone is None:
             return self._any_controls(start, end)
         columns, of_start, of_end, constant = self._alone
@@ -59,7 +59,7 @@ class Commands:
         return of_start * start + of_end * end + constant
 
     def _coefficients(self) -> tuple[NDArray[np.int_], Floats, Floats, Floats] | None:
-        """The coefficients of `_any_controls`, for a third of its time; None if an actuator moves several joints."""
+        """`_any_controls` as coefficients, three times as fast; None if an actuator moves several joints."""
         n = self._arm.n_joints
         unit, zero = np.eye(n), np.zeros((n, n))
         constant = self._any_controls(zero[0], zero[0])
@@ -84,13 +84,13 @@ class Commands:
 class ArmTask(ABC):
     """Base class of tasks in which joint velocities bring an arm to target positions that are observed.
 
-    An object has two parts. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
-    arrays with any leading axes, so that `gymnasium.VectorEnvironment` can use them for many episodes. With `begin` and
-    `step` it runs one episode in its simulation.
+    A task has two parts. Its definition is in `commands`, `draw`, `judge` and `look`, which work on arrays with any
+    leading axes, so that `gymnasium.VectorEnvironment` can use them for many episodes. `begin` and `step` run one
+    episode in the task's simulation.
 
-    An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, which
-    a learner must hit precisely, have a wide range of actions. It moves the commanded position, which stays within the
-    position limits, at constant velocity for one control step; the arm's position servos follow it, with velocity
+    An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, for
+    which a learner needs precise actions, have a wide range of actions. During one control step the commanded position
+    moves at this constant velocity, within the position limits; the arm's position servos follow it, with velocity
     feedforward, at every physics step. Actions outside this range are clipped.
 
     Observations, which are clipped to finite bounds:
@@ -155,7 +155,7 @@ class ArmTask(ABC):
             raise InputError(f"{what}, got {control_timestep:g} s = {ratio:.6g} steps")
         self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
-        # Targets that move are drawn for all of it.
+        # Moving targets are drawn for the whole time, which takes memory.
         if not self.control_timestep <= time_limit <= 1000.0:
             least = f"one control step of {self.control_timestep:g} s"
             raise InputError(f"time_limit must be between {least} and 1000 s, got {time_limit:g} s")
@@ -178,7 +178,7 @@ class ArmTask(ABC):
     def run_in(self, simulation: Simulation) -> None:
         """Use another simulation of the arm from the next episode on."""
         self.simulation, data = simulation, simulation.data
-        # Views are kept, since asking MuJoCo for one takes as long as reading it.
+        # Views are kept, since getting one from MuJoCo takes as long as reading it.
         self._qpos, self._qvel, self._warm_start = data.qpos, data.qvel, data.qacc_warmstart
         self._link_frames = LinkFrames(self.arm, simulation.model, data, self.frames)
 
@@ -194,14 +194,14 @@ class ArmTask(ABC):
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rewards in [0, 1] and successes, each ``(...)``, by joint velocities ``(..., n)``; arguments are unchecked.
 
-        Distances ``(...)`` [m] and angles ``(...)`` [rad] are the largest of goal frames from their targets.
+        Distances ``(...)`` [m] and angles ``(...)`` [rad] are the largest ones between goal frames and their targets.
         """
 
     def look(self, steps: Any, command: Floats, qpos: Floats, qvel: Floats, frames: Floats, *target: Floats) -> State:
         """The states ``(...)`` after numbers ``(...)`` of control steps; arguments are unchecked.
 
-        They are of commanded positions ``(..., n)``, MuJoCo's positions ``(..., nq)`` and velocities ``(..., nv)``,
-        goal frames ``(..., F, 16)`` (`LinkFrames`) and the arrays of `Target.after`, with leading axes.
+        The arguments are commanded positions ``(..., n)``, MuJoCo's positions ``(..., nq)`` and velocities
+        ``(..., nv)``, goal frames ``(..., F, 16)`` (`LinkFrames`) and the arrays of `Target.after`, with leading axes.
         """
         q = self.arm.space.from_qpos(qpos)
         qd = self.arm.space.from_qvel(q, qvel)
@@ -213,7 +213,7 @@ class ArmTask(ABC):
 
     @property
     def state(self) -> State:
-        """The present state; after a failure, the one before it, without success or reward."""
+        """The present state; after a failure, the state before it, without success or reward."""
         if self._state is None:
             raise InputError("no episode has begun: reset first")
         return self._state
@@ -260,8 +260,8 @@ class ArmTask(ABC):
         """Do one control step with an action ``(n,)``, as Gymnasium's environments do.
 
         Returns:
-            The observation, those of `bounds`; the reward in [0, 1]; whether the simulation failed, so that there is
-            no state to continue from; whether the time limit is reached; and `State.info`.
+            The observations, named as in `bounds`; the reward in [0, 1]; whether the simulation failed, so that there
+            is no state to continue from; whether the time limit is reached; and `State.info`.
 
         Raises:
             InputError: the action is malformed or not finite, or no episode is running.
@@ -280,8 +280,8 @@ class ArmTask(ABC):
         return self.observe(), float(state.reward), bool(failure), truncated, state.info()
 
     def simulate(self, controls: Floats) -> str:
-        """Do the physics steps of a control step with controls ``(substeps, nu)``; the reason if one fails."""
-        # Without a warm start of the solver, a control step is a function of the state.
+        """Do the physics steps of a control step with controls ``(substeps, nu)``; returns the reason if one fails."""
+        # No warm start of the solver, so that the result of a control step depends on the state alone.
         self._warm_start[:] = 0.0
         try:
             self.simulation.advance(self.substeps, controls)
@@ -295,5 +295,5 @@ class ArmTask(ABC):
         return state
 
     def observe(self) -> Observation:
-        """Present observations, as new arrays; after a failure, those before it."""
+        """Present observations, as new arrays; after a failure, the observations before it."""
         return self.observations.split(self.state.row.copy())

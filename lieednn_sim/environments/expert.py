@@ -27,10 +27,10 @@ _PLANNING_DURATION = 10.0
 class Expert:
     """An expert policy for imitation learning, which has access to the arm and the task.
 
-    In `Reach` it plans a motion from ``home`` to each episode's target, by default that of a certified network, around
-    obstacles if there are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands
-    the target's next position. With ``policy`` it follows that policy, made anew for each episode, which sees the
-    measured joints and the target. Its actions are within [-1, 1].
+    In `Reach` it plans a motion from ``home`` to each episode's target, by default with a certified network and around
+    any obstacles, and commands the positions of the motion, as fast as 90 % of the limits allow. In `Track` it commands
+    the target's next position. With ``policy`` it follows that policy, which is made anew for each episode and sees the
+    measured joints and the target. The expert's actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
@@ -39,11 +39,11 @@ class Expert:
         seed: seed of the draws.
 
     Attributes:
-        certificate: in an episode of `Reach`, the proof of stability of the network whose motion it commands, in words;
-            empty before its first action, and where no network moves the arm.
+        certificate: in an episode of `Reach`, the proof of stability of the network that moves the arm, in words;
+            empty before the first action, and where no network moves the arm.
 
     Raises:
-        InputError: the environment is none of these, there is no such policy or planner, or both are given.
+        InputError: the environment is of another kind, there is no such policy or planner, or both are given.
         LieEDNNError: a library that the planner needs is not installed.
     """
 
@@ -52,7 +52,7 @@ class Expert:
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
-        # Many environments have a task too, but not an episode of it.
+        # A vector environment has a task too, but does not run the task's own episode.
         if not isinstance(task, ArmTask) or hasattr(inner, "num_envs"):
             raise InputError(
                 "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
@@ -70,7 +70,7 @@ class Expert:
         self.certificate = ""
 
     def act(self) -> Floats:
-        """Action ``(n,)`` for the present time, from the arm and the task, which know more than the observations say.
+        """Action ``(n,)`` for the present time, from the arm and the task, which hold more than the observations.
 
         Raises:
             PlanError: no plan was found for the episode's target.
@@ -86,11 +86,11 @@ class Expert:
             self.certificate = ""
             self._policy = self._make(task)
             self._episode = task.episode
-            # A plan is from the beginning of the episode on, while a policy by name begins where the arm is.
+            # A plan begins at the beginning of the episode, while a named policy begins at the present state.
             self._periods = 0 if self._kind is None else task.state.steps
             self._policy.reset(task.arm.keyframe("home") if self._kind is None else task.command)
         measured = task.observe()["position"]
-        # Others may have acted since; asked again at the same time, it answers the same.
+        # Catch up on steps that others have done; a second call at the same time returns the same action.
         while self._periods <= task.state.steps:
             self._policy.step(measured, target)
             self._periods += 1
@@ -109,11 +109,11 @@ def planned(
 ) -> tuple[CubicHermiteSpline, str]:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
-    Besides, the proof of stability of the network that it comes from, in words; empty without one. Raises as `plan`.
+    Also returns the proof of stability of the motion's network, in words; empty without one. Raises as `plan`.
     """
     result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
-    # The rest of the limits is left to the servos. Nothing moves if it is already there.
+    # The servos need the rest of the limits. The factor is 0 if nothing moves, as the arm is already at the target.
     factor = slowdown(arm, motion.t, motion.qd, 0.9) or 1.0
     return CubicHermiteSpline(motion.t * factor, motion.q, motion.qd / factor), certificate
 

@@ -47,12 +47,11 @@ __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment"]
 #: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
 
-Stepped = tuple[Any, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 def observations(bounds: Bounds, flat: bool) -> tuple[spaces.Space[Any], Callable[[Observation], Any]]:
-    """Space of a task's observations, and what shows one or many of them: as they are, or each as a vector."""
+    """Space of a task's observations, and the function that returns one or many as they are, or each as a vector."""
     space = spaces.Dict({name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()})
     if not flat:
         return space, lambda seen: seen
@@ -62,7 +61,7 @@ def observations(bounds: Bounds, flat: bool) -> tuple[spaces.Space[Any], Callabl
 
 
 class Environment(gymnasium.Env[Any, Floats]):
-    """A task as a Gymnasium environment, which is truncated at the task's own time limit.
+    """A task as a Gymnasium environment, whose episodes are truncated at the task's time limit.
 
     ``reset(options={"target": q})`` chooses the target of a `Reach` episode.
 
@@ -72,7 +71,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of rendered frames, both even, at most 3840x2160.
-        preset: rendering quality, a name of `rendering.camera.PRESETS`.
+        preset: rendering quality, a name of `rendering.video.PRESETS`.
         flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
         options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
@@ -180,7 +179,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         mujoco.mj_getState(self._model, self.task.simulation.data, self._first, _STATE)
         self._states = np.tile(self._first, (num_envs, 1))
         command, row = (np.zeros((num_envs, size)) for size in (len(self._home), self.task.observations.size))
-        # Before the first reset, all are over.
+        # Before the first reset, all episodes are over.
         steps, success, failure = np.full(num_envs, self.task.steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
         reward, distance, angle = np.zeros((3, num_envs))
         self._seen = State(steps, command, row, reward, success, distance, angle, np.array(failure, dtype=object))
@@ -201,7 +200,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         except ValueError:
             mask = np.empty(0)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
+            raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, at least one of them true")
         which = np.flatnonzero(mask)
         for i in which:
             if (own := seed[i]) is not None:
@@ -209,7 +208,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._begin(which, chosen)
         return self._observed(), self._infos(mask)
 
-    def step(self, actions: Floats) -> Stepped:
+    def step(self, actions: Floats) -> tuple[Any, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Do one control step with actions ``(B, n)``; an environment that begins an episode ignores its action.
 
         `InputError` if an episode is over and autoreset is disabled.
@@ -240,7 +239,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._rollouts.close()
 
     def _observed(self) -> Any:
-        # Contiguous copies.
+        # Contiguous copies, since later steps change the row.
         return self._shown({name: seen.copy() for name, seen in self.task.observations.split(self._seen.row).items()})
 
     def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -251,7 +250,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
 
     def _begin(self, which: NDArray[np.int_], options: dict[str, Any]) -> None:
         """Begin episodes of some environments."""
-        # All are drawn before any episode ends.
+        # All targets are drawn first, since drawing may fail, and then no episode must have ended.
         drawn = {i: self.task.draw(self._generators[i], dict(options)) for i in which.tolist()}
         self._targets |= drawn
         self._states[which] = self._first
@@ -267,7 +266,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         controls = task.commands.controls(start, command)
         with QuietWarnings():
             after = self._rollouts.rollout(self._model, self._data, before, controls)[0][:, -1]
-        # After a warning, MuJoCo's time stands still, or restarts.
+        # After a warning, MuJoCo's time stops or restarts.
         late = np.abs(after[:, 0] - before[:, 0] - task.control_timestep) > 0.5 * task.simulation.timestep
         failed = late | ~np.isfinite(after).all(axis=1)
         for i, state, own in zip(which[failed].tolist(), before[failed], controls[failed], strict=True):
@@ -281,7 +280,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._look(good, seen.steps[good] + 1, command[~failed])
 
     def _look(self, which: NDArray[np.int_], steps: NDArray[np.int_], command: Floats) -> None:
-        """Update what is known of some environments."""
+        """Update states and observations of some environments."""
         if not len(which):
             return
         qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)

@@ -50,7 +50,7 @@ class Target(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo."""
+    """The state of one episode after a control step, or of many with leading axes; without the state in MuJoCo."""
 
     steps: Any  #: numbers of control steps done ``(...)``
     command: Floats  #: commanded positions ``(..., n)``
@@ -66,7 +66,7 @@ class State(NamedTuple):
         return (self.failure != "") | (self.steps >= steps)
 
     def info(self) -> dict[str, Any]:
-        """Of one episode: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason if it failed."""
+        """Info of one episode: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason for one."""
         info = {"success": bool(self.success), "distance": float(self.distance), "angle": float(self.angle)}
         return info | {"failure": self.failure} if self.failure else info
 
@@ -74,8 +74,8 @@ class State(NamedTuple):
 class Observations:
     """Computes rows that hold all observations of a task, clipped to their bounds.
 
-    Clipping and copying one row takes as long as it would for one of its arrays alone. The bounds are those of
-    `common_bounds`, then those of a task's additional observations.
+    Clipping and copying a whole row takes as long as it would for a single one of its arrays. The bounds are those of
+    `common_bounds`, followed by those of a task's additional observations.
     """
 
     def __init__(self, bounds: Bounds) -> None:
@@ -105,7 +105,7 @@ class LinkFrames:
 
     def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, frames: slice) -> None:
         self._model, self._data, self._frames = model, data, arm.frames[frames]
-        # Views are kept, since asking MuJoCo for one takes as long as reading it.
+        # Views are kept, since getting one from MuJoCo takes as long as reading it.
         self._qpos, self._positions, self._rotations = data.qpos, data.xpos, data.xmat
 
     def __call__(self) -> Floats:
@@ -114,8 +114,8 @@ class LinkFrames:
         return self._rows(self._positions, self._rotations)
 
     def at(self, qpos: Floats) -> Floats:
-        """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
-        # All bodies are copied, since a choice of a few takes longer.
+        """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data are set in turn."""
+        # All bodies are copied, since selecting a few of them takes longer.
         places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
         for self._qpos[:], place, turn in zip(qpos, places, turns, strict=True):
             mujoco.mj_kinematics(self._model, self._data)
@@ -145,7 +145,7 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
 
     The twists (omega, v) are ``(..., F, 6)`` [rad, m]; then the largest distance ``(...)`` [m] and angle [rad].
 
-    The same as `lie.log`, in half of its time for one frame: by MuJoCo's difference of quaternions, and few calls.
+    The same as `lie.log`, in half its time for one frame, by MuJoCo's difference of quaternions and few calls.
     """
     twist = np.empty((*frames.shape[:-1], 6))
     ends = twist.reshape(-1, 6), goals.reshape(-1, 16), frames.reshape(-1, 16)

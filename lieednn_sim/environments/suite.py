@@ -35,7 +35,7 @@ def load(
     Args:
         arm: name of an arm, or an arm.
         task: a name of `TASKS`.
-        random: seed or generator of everything random; None for a fresh generator.
+        random: seed or generator of all random draws; None for a fresh generator.
         options: options of the task, see `ArmTask`, `Reach` and `Track`.
     """
     return ControlEnvironment(make_task(task, arm, **options), random=random)
@@ -64,7 +64,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         super().__init__(Physics(wrapper.MjData(task.simulation.data)), task, n_sub_steps=task.substeps)
 
     def reset(self, seed: int | None = None) -> dm_env.TimeStep:
-        """Begin an episode; a seed, which dm_env does not know, restarts the random numbers, as on loading with it."""
+        """Begin an episode; a seed, which is not part of dm_env, restarts the random numbers as `load` would."""
         if seed is not None:
             self._random = np.random.default_rng(as_seed("seed", seed))
         with self._physics.reset_context():

@@ -25,23 +25,23 @@ from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["TASKS", "Reach", "Track", "make_task"]
 
-REST = 0.01  # of its velocity limit: a joint that is slower is at rest
+REST = 0.01  # a joint is at rest below this fraction of its velocity limit
 _DRAWS = 40  # attempts to draw a random trajectory
 
 
 class Closeness:
     """Closeness to a target: 1 within the tolerances, otherwise less.
 
-    Half of it falls linearly with distance and angle, to 0 at the reach of the arm and pi, so that it guides from
-    everywhere. A quarter each are a near and a fine part with narrow margins, which are products of a term for the
-    distance and one for the angle. A term falls to a tenth where its error exceeds the tolerance by the margin. Terms
-    of further errors, of which ``more`` are the tolerances and margins, are factors of the fine part.
+    Half of it falls linearly with distance and angle, to 0 at the reach of the arm and at pi, so that it guides a
+    learner from everywhere. The near part and the fine part, a quarter each, have narrow margins and are products of a
+    term for the distance and one for the angle. A term is a tenth where its error exceeds the tolerance by the margin.
+    Terms of further errors, whose tolerances and margins are ``more``, are factors of the fine part.
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
         self._farthest = np.array([task.arm.reach, np.pi])
         allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
-        # Of the near and of the fine part [m, rad].
+        # Margins of the near part, then of the fine part [m, rad].
         margins = 0.05, 0.1, 0.005, 0.01
         self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
 
@@ -50,7 +50,7 @@ class Closeness:
         errors = np.array([distance, angle, distance, angle, *more]).T
         beyond = np.maximum(errors - self._allowed, 0.0)
         far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
-        # A term is 1 / (1 + 9 x^2) at x margins beyond the tolerance, as that of dm_control.
+        # A term is 1 / (1 + 9 x^2) at x margins beyond the tolerance, as in dm_control.
         margins = beyond / self._margins
         near, near_turn, *fine = (1.0 / (1.0 + 9.0 * margins * margins)).T
         closeness = np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
@@ -79,7 +79,7 @@ class Reach(ArmTask):
         seed = int(rng.integers(2**32))
         q = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
         rows = q, goal_frames(self.arm, q, self.frames)
-        # It does not move.
+        # The target does not move.
         return Target(lambda _: q.copy(), tuple(np.broadcast_to(row, (self.steps + 1, *row.shape)) for row in rows))
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -89,7 +89,7 @@ class Reach(ArmTask):
 
 
 class Track(ArmTask):
-    """Task: keep up with a target that moves from ``home`` within the arm's limits, free of contact (`band_limited`).
+    """Task: track a target that moves from ``home`` within the arm's limits and free of contact (`band_limited`).
 
     Additional observations are ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, the target positions at the
     ends of this and the following control steps. Success: the goal frames are within the tolerances now, by default
@@ -104,7 +104,7 @@ class Track(ArmTask):
     position_tolerance, rotation_tolerance = 5e-3, float(np.deg2rad(0.5))
 
     def __init__(self, arm: str | Arm = "telescopic_pr", *, preview: int = 5, **options: Any) -> None:
-        # Its targets must fit into the memory of a learner.
+        # Limited, since the targets must fit into a learner's memory.
         self.preview = as_count("preview", preview, most=10_000)
         super().__init__(arm, **options)
 
@@ -124,7 +124,7 @@ class Track(ArmTask):
         path = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
         q = path(ends)
         now = slice(self.steps + 1)
-        # A window for each row, which is not copied: previews overlap.
+        # Previews are overlapping windows, which are views and not copied.
         previews = sliding_window_view(q[1:].ravel(), self.preview * self.arm.n_joints)[:: self.arm.n_joints]
         rows = q[now], goal_frames(self.arm, q[now], self.frames), path(ends[now], 1), previews
         return Target(lambda time: path(np.clip(time, 0.0, path.x[-1])), rows)
@@ -158,11 +158,11 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> CubicHe
 
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of three sines of 0.1 to 0.5 Hz with random
     weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0,
-    at rest at ``home``, to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is
-    slowed down as a whole. `NoSolutionError` if every attempt touches something.
+    at rest at ``home``, to 1 by the minimum-jerk law. A trajectory that exceeds half the velocity or acceleration
+    limits is slowed down as a whole. `NoSolutionError` if every attempt touches something.
     """
     total = as_positive("duration", duration)
-    # A fraction of the joint ranges, which is reduced after a contact.
+    # The spread, a fraction of the joint ranges, is reduced after a contact.
     home, spread = arm.keyframe("home"), 0.8
     for _ in range(_DRAWS):
         trajectory = _draw(arm, rng, home, total, spread)
@@ -185,7 +185,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     weights = rng.dirichlet(np.ones(3), n)
     omega = 2.0 * np.pi * rng.uniform(0.1, 0.5, (n, 3))
     phase = rng.uniform(0.0, 2.0 * np.pi, (n, 3))
-    # Long enough even if it is not slowed down.
+    # The times are long enough even if the trajectory is not slowed down.
     t = np.linspace(0.0, total, int(np.ceil(total / 0.02)) + 1)
     angle = omega * t[:, None, None] + phase
     wave = middle + half * (weights * np.sin(angle)).sum(axis=-1) - home
@@ -198,7 +198,7 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
 
 
 def slowdown(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
-    """Factor of time with which the fastest joint reaches a fraction of its limits; 0 if nothing moves."""
+    """Factor of time at which the fastest joint just reaches a fraction of its limits; 0 if nothing moves."""
     velocity = (np.abs(qd) / arm.velocity_limits).max()
     acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()
     return float(max(velocity / fraction, np.sqrt(acceleration / fraction)))

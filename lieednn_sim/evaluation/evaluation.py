@@ -18,7 +18,7 @@ from lieednn_sim.versions import versions
 
 # A frame has settled if it stays this close to its target [m, rad].
 SETTLED_TRANSLATION = 1e-3
-LOST = 50.0  # what moves by more in the hand is not held [mm]
+LOST = 50.0  # a body that moves by more in the hand is lost [mm]
 SETTLED_ROTATION = float(np.deg2rad(0.1))
 
 
@@ -208,7 +208,7 @@ class Evaluation:
 
     @property
     def shortfall(self) -> str:
-        """Why it is no success, or "": a contact outside of sequences, what a hand lost, or a link off its target."""
+        """Why the run failed, or "": contact outside of sequences, a body that was lost, or a link off its target."""
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
         for body, slip in self.slips_mm.items():

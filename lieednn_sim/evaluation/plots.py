@@ -1,17 +1,14 @@
-"""Plots of a run, network states, tracking error and joint motion, and of a training; PNG, or by the file's suffix."""
+"""Plots of a run, and of a training; PNG, or by the file's suffix."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
@@ -19,8 +16,9 @@ from lieednn_sim import io
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.evaluation import figure_layout as layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.evaluation.figure_layout import COLOURS, drawn, entries_of, fitted_legend
+from lieednn_sim.evaluation.joint_plots import plot_joints
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
 from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of
@@ -30,12 +28,7 @@ from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["plot"]
 
-_PUSH = "0.85"
 _LABELS_IN_ROW = 5  # of channels
-# Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
-_LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
-# Most rows of a plot of joints, and the length beyond which names are written smaller.
-_MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
 def plot(rollout: Rollout, directory: StrPath) -> tuple[Path, ...]:
@@ -80,8 +73,9 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
     """Plot the natural frequencies of what nothing drives along the reference, with the driven joints held there."""
     passive, some = PassiveJoints(rollout.arm), np.linspace(0, len(rollout.t) - 1, 41).astype(int)
     modes = [passive.modes(q) for q in rollout.q_ref[some]]
-    with _over_time(rollout, path, "[Hz]", "natural frequencies, and largest damping, of what nothing drives") as axis:
-        # As many as there are everywhere; those that are overdamped in some places come last.
+    title = "natural frequencies, and largest damping, of what nothing drives"
+    with layout.over_time(rollout, path, "[Hz]", title) as axis:
+        # Only as many modes as there are at all instants; modes that are overdamped somewhere come last.
         for k, of_one in enumerate(zip(*modes, strict=False)):
             label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
             axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
@@ -103,60 +97,61 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
         t, *tracked = rollout.tracked
         least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
-    with _over_time(rollout, path, "[mm]", f"distance from contact, up to {high:g} mm") as axis:
-        proved = {"fill": True, "color": COLOURS[2], "alpha": 0.4, "label": "proved"}
+    with layout.over_time(rollout, path, "[mm]", f"distance from contact, up to {high:g} mm") as axis:
+        proved = {"fill": True, "color": layout.COLOURS[2], "alpha": 0.4, "label": "proved"}
         axis.stairs(1e3 * np.maximum(least, 0.0), rollout.t[some], **proved)
         for stretch in rollout.clearance.unproved:
-            axis.axvspan(*stretch, color=COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
-        axis.plot(rollout.t[some], distance, color=COLOURS[0], label="measured at samples")
+            axis.axvspan(*stretch, color=layout.COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
+        axis.plot(rollout.t[some], distance, color=layout.COLOURS[0], label="measured at samples")
         axis.set_ylim(low, high)
 
 
 def plot_network(rollout: Rollout, path: StrPath) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    Below are the clock, the network's own time, and what all other neurons, there may be hundreds, do together: how far
-    they bend each link's state off the straight way to its target, which it would take without them; a turn counts by
-    the arm's length scale.
+    Below are the clock, the network's own time, and the joint effect of all other neurons, of which there may be
+    hundreds: how far they bend each link's state off the straight way to its target, which it would take without them;
+    a turn counts by the arm's length scale.
     """
     arm, motion = rollout.arm, rollout.motion
     assert motion is not None
     n = arm.n_links
     # Rows that do not fit a page go into further columns.
-    blocks = -(-n // _MOST_ROWS)
+    blocks = -(-n // layout.MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    with drawn(path, 10.0 * blocks, 1.2 + 1.7 * (rows + 1)) as figure:
-        axes = _subplots(figure, motion.t, rows + 1, 2 * blocks)
+    with layout.drawn(path, 10.0 * blocks, 1.2 + 1.7 * (rows + 1)) as figure:
+        axes = layout.subplots(figure, motion.t, rows + 1, 2 * blocks)
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                looks = zip(COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False)
+                looks = zip(layout.COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False)
                 for c, (colour, name, width) in enumerate(looks, first):
                     label = f"$\\omega_{name}$ / $v_{name}$"
-                    # Those below are wider, so that equal ones are all seen.
+                    # Lines drawn first are wider, so that equal ones are all visible.
                     axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, lw=width, label=label)
                     axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
-                _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
+                layout.set_label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 shown = scale * np.vstack([motion.xi, motion.xi_target[None]])[..., first : first + 3]
-                # Of all links alike; what is smaller is rounding.
+                # Smaller variations are rounding.
                 margin = max(0.05 * float(np.ptp(shown)), 1e-3)
                 axis.set_ylim(shown.min() - margin, shown.max() + margin)
         clock, bend, *others = axes[-1]
         clock.plot(motion.t, motion.tau, color="0.3")
-        _label(clock, "[1]", "clock: the network's own time $\\tau$", fontsize=9)
+        layout.set_label(clock, "[1]", "clock: the network's own time $\\tau$", fontsize=9)
         for name, way in zip(arm.link_names, arm.length_scale * bends(motion.xi, motion.xi_target).T, strict=True):
             bend.plot(motion.t, 1e3 * way, lw=1.2, label=name)
-        _label(bend, "[mm]", "all other neurons together: bent off the straight way", fontsize=9)
+        layout.set_label(bend, "[mm]", "all other neurons together: bent off the straight way", fontsize=9)
         bend.legend(fontsize=8)
         for axis in (clock, bend):
             axis.set_xlabel("time [s]")
         for axis in others:
             axis.set_visible(False)
-        fitted_legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
+        target = {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)}
+        layout.fitted_legend(figure, layout.entries_of(axes[0, 0]) | target)
 
 
 def bends(xi: Floats, target: Floats) -> Floats:
@@ -180,25 +175,25 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
         ("translation", "[mm]", 1e3 * tracking[0], 1e3 * to_go[0], 1e3 * SETTLED_TRANSLATION),
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
     )
-    with drawn(path, 10.0, 6.0) as figure:
-        axes = _subplots(figure, rollout.t, 2, 2)
+    with layout.drawn(path, 10.0, 6.0) as figure:
+        axes = layout.subplots(figure, rollout.t, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
             # At least a tenth of the settled error, so that small errors look small; a line at 0 is not hidden.
             upper.set_ylim(np.array([-0.02, 1.0]) * max(1.08 * float(errors.max()), 0.1 * settled))
-            _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
+            layout.set_label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             own = upper.lines[-1]  # the end effector's
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), c=own.get_color(), ls=own.get_linestyle())
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
             place = {"xytext": (4, 3), "xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             lower.annotate(f"settled: below {settled:g} {unit[1:-1]}", (0.0, settled), color="0.3", fontsize=8, **place)
             lower.set_ylim(1e-2 * settled, 2.0 * max(float(distance.max()), settled))
-            _label(lower, unit, f"end effector to target, {what}")
+            layout.set_label(lower, unit, f"end effector to target, {what}")
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
-            _mark_events(axis, rollout)
-        fitted_legend(figure, entries_of(axes[0, 0]) | _events(rollout))
+            layout.mark_events(axis, rollout)
+        layout.fitted_legend(figure, layout.entries_of(axes[0, 0]) | layout.events(rollout))
 
 
 def plot_channels(rollout: Rollout, path: StrPath) -> None:
@@ -209,160 +204,49 @@ def plot_channels(rollout: Rollout, path: StrPath) -> None:
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
     legend = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
-    with drawn(path, 10.0, 0.8 + (1.8 + legend) * len(lines)) as figure:
-        axes = _subplots(figure, rollout.t, len(lines), 1)[:, 0]
+    with layout.drawn(path, 10.0, 0.8 + (1.8 + legend) * len(lines)) as figure:
+        axes = layout.subplots(figure, rollout.t, len(lines), 1)[:, 0]
         for axis, (unit, of_unit) in zip(axes, lines.items(), strict=True):
             for label, values in of_unit.items():
                 axis.plot(rollout.t, values, label=label)
-            _label(axis, f"[{unit}]")
+            layout.set_label(axis, f"[{unit}]")
             axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=_LABELS_IN_ROW, fontsize=8)
-            _mark_events(axis, rollout)
+            layout.mark_events(axis, rollout)
         axes[-1].set_xlabel("time [s]")
-
-
-@contextmanager
-def _over_time(rollout: Rollout, path: StrPath, unit: str, title: str) -> Iterator[Any]:
-    """One axis over the times of a run, which is drawn on in the block, with the run's events."""
-    with drawn(path, 10.0, 3.4) as figure:
-        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
-        yield axis
-        _label(axis, unit, title)
-        axis.set_xlabel("time [s]")
-        _mark_events(axis, rollout)
-        fitted_legend(figure, entries_of(axis) | _events(rollout))
-
-
-def _subplots(figure: Figure, t: Floats, rows: int, columns: int) -> Any:
-    """Axes ``(rows, columns)`` over the times t."""
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    # Once for all: updating their common range after every line takes longer than the drawing.
-    margin = matplotlib.rcParams["axes.xmargin"] * (t[-1] - t[0])
-    axes[0, 0].set_xlim(t[0] - margin, t[-1] + margin)
-    return axes
-
-
-def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
-    """Set the label of the ordinate, and the title."""
-    axis.set_ylabel(unit, **font)
-    axis.set_title(title, loc="left", **font)
-
-
-def _mark_events(axis: Any, rollout: Rollout) -> None:
-    """Mark the end of the motion by a line, and each push by a band."""
-    axis.axvline(rollout.motion_end, color="0.35", lw=0.9, ls="-.")
-    for push in rollout.disturbances.pushes:
-        axis.axvspan(push.start, min(push.end, rollout.t[-1]), color=_PUSH, zorder=0)
-
-
-def _events(rollout: Rollout) -> dict[str, Any]:
-    """Entries of a legend for what `_mark_events` draws."""
-    end = {"end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-.")}
-    return end | ({"push": Patch(color=_PUSH)} if rollout.disturbances.pushes else {})
-
-
-def plot_joints(rollout: Rollout, path: StrPath) -> None:
-    """Plot reference and simulated position with its limits, error, velocity and actuator force of each joint.
-
-    Velocity and force are in percent of their limits, or absolute without limits. Joints of one unit share the scale of
-    each column, so that small values look small. More than `_MOST_ROWS` coordinates are split into blocks.
-    """
-    arm = rollout.arm
-    blocks = -(-arm.n_joints // _MOST_ROWS)
-    rows = -(-arm.n_joints // blocks)
-    with drawn(path, 14.0 * blocks, 1.3 + 1.25 * rows) as figure:
-        axes = _subplots(figure, rollout.t, rows, 4 * blocks)
-        for block in range(blocks):
-            joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
-            _plot_joints(axes[:, 4 * block : 4 * block + 4], rollout, joints)
-        entries: dict[str, Any] = {
-            "simulated": Line2D([], [], color=COLOURS[0]),
-            "reference": Line2D([], [], color=COLOURS[4], ls="--"),
-            "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
-        }
-        fitted_legend(figure, entries | _events(rollout))
-
-
-def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
-    """Fill rows of axes ``(rows, 4)``; those left over are hidden."""
-    arm = rollout.arm
-    angular = np.array([arm.unit(j) == "rad" for j in range(arm.n_joints)])
-    error = np.where(angular, np.rad2deg(1.0), 1e3) * (rollout.q - rollout.q_ref)
-    for row, j in zip(axes, joints, strict=False):
-        row[0].plot(rollout.t, rollout.q[:, j], color=COLOURS[0])
-        row[0].plot(rollout.t, rollout.q_ref[:, j], color=COLOURS[4], ls="--")
-        low, high = arm.position_limits[j]
-        for bound in (low, high):
-            row[0].axhline(bound, color=COLOURS[1], lw=0.8)
-        margin = 0.06 * (high - low)
-        row[0].set_ylim(low - margin, high + margin)
-        name = arm.joint_names[j]
-        _label(row[0], f"{name}\n[{arm.unit(j)}]", fontsize=min(9.0, 9.0 * _LONGEST_NAME / len(name)))
-        alike = angular == angular[j]
-        row[1].plot(rollout.t, error[:, j], color=COLOURS[3])
-        _label(row[1], "[deg]" if angular[j] else "[mm]")
-        _from_zero(row[1], error[:, alike], _LEAST_ERROR)
-        for axis, values, limits, unit in (
-            (row[2], rollout.qd, arm.velocity_limits, f"{arm.unit(j)}/s"),
-            (row[3], rollout.force, arm.force_limits, "N m" if angular[j] else "N"),
-        ):
-            limited = np.isfinite(limits)
-            drawn_alike, least = (limited, _LEAST_PERCENT) if limited[j] else (alike & ~limited, 0.0)
-            scaled = np.where(limited, 100.0 / limits, 1.0) * values
-            axis.plot(rollout.t, scaled[:, j], color=COLOURS[0])
-            _from_zero(axis, scaled[:, drawn_alike], least)
-            _label(axis, "[%]" if limited[j] else f"[{unit}]")
-        for axis in row:
-            _mark_events(axis, rollout)
-    titles = ["position", "error: simulated less reference"]
-    for what, limits in (("velocity", arm.velocity_limits), ("actuator force", arm.force_limits)):
-        titles.append(f"{what}, % of its limit" if np.isfinite(limits[joints]).any() else what)
-    for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, loc="left")
-    for axis in axes[len(joints) :].ravel():
-        axis.set_visible(False)
-    for axis in axes[len(joints) - 1]:
-        axis.set_xlabel("time [s]")
-        axis.tick_params(labelbottom=True)
-
-
-def _from_zero(axis: Any, values: Floats, least: float) -> None:
-    """Set the range to all values, zero, and at least ``least`` to both sides."""
-    low, high = min(-least, float(values.min())), max(least, float(values.max()))
-    margin = 0.06 * (high - low) or 1.0
-    axis.set_ylim(low - margin, high + margin)
 
 
 def plot_training(history: History, target: ArrayLike, tolerance: float, path: StrPath) -> None:
     """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
     goal = np.asarray(target)
     error = np.abs(history.equilibrium - goal)
-    with drawn(path, 10, 6.4) as figure:
+    with layout.drawn(path, 10, 6.4) as figure:
         axes = figure.subplots(2, 2, sharex=True)
         distance, accuracy, rate, equilibrium = axes.ravel()
         distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
         distance.semilogy(history.epoch, error.max(axis=(-2, -1)), lw=1.2, label="largest coordinate")
         distance.axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")
-        _label(distance, "[rad, length units]", "distance of the equilibrium to the target")
+        layout.set_label(distance, "[rad, length units]", "distance of the equilibrium to the target")
         distance.legend()
         accuracy.plot(history.epoch, 100.0 * history.accuracy)
         accuracy.set_ylim(-2.0, 102.0)
-        _label(accuracy, "[%]", "accuracy: coordinates within the tolerance")
+        layout.set_label(accuracy, "[%]", "accuracy: coordinates within the tolerance")
         rate.semilogy(history.epoch, history.rate)
         # Otherwise a range of less than a decade has no tick, or too many.
         low, high = float(history.rate.min()), float(history.rate.max())
         rate.set_ylim(10.0 ** np.floor(np.log10(low) - 1e-9), 10.0 ** np.ceil(np.log10(high) + 1e-9))
         rate.yaxis.set_minor_formatter(NullFormatter())
-        _label(rate, "$\\eta$", "learning rate")
+        layout.set_label(rate, "$\\eta$", "learning rate")
         # Rotation and translation of SE(3) by colour; other groups have one kind of coordinate.
-        spatial = goal.shape[-1] == 6
-        kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
-        for colour, (name, chosen) in zip(COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
+        kinds: list[tuple[str, Any]] = [("coordinates", slice(None))]
+        if goal.shape[-1] == 6:
+            kinds = [("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6))]
+        for colour, (name, chosen) in zip(layout.COLOURS, kinds, strict=False):
             values = history.equilibrium[..., chosen].reshape(len(history), -1)
             equilibrium.plot(history.epoch, values, color=colour, ls="-", lw=0.9)[0].set_label(name)
             for value in goal[..., chosen].ravel():
                 equilibrium.axhline(value, color=colour, ls="--", lw=0.6)
         equilibrium.plot([], [], color="0.3", ls="--", lw=0.9, label="target")
-        _label(equilibrium, "[rad, length units]", "equilibrium $\\xi^*$ by coordinate")
+        layout.set_label(equilibrium, "[rad, length units]", "equilibrium $\\xi^*$ by coordinate")
         equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         for axis in (rate, equilibrium):
             axis.set_xlabel("epoch")

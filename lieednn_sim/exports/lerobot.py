@@ -28,8 +28,8 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     """Write a data set with one episode for each rollout; see `formats.export`.
 
     ``observation.state`` holds the measured positions and velocities, and ``action`` the planned positions one sample
-    later. ``rate`` is a whole number; by default that which is nearest to 50 Hz and divides the simulation's rate.
-    `InputError` if rollouts are of arms with other joints, or for the rate.
+    later. ``rate`` must be a whole number that divides the simulation's rate, by default the one nearest to 50 Hz.
+    `InputError` for another rate, or if the rollouts are of arms with different joints.
     """
     (first, timestep), episodes = next((item.arm, item.timestep) for item in rollouts.values()), []
     fps = _frames_per_second(rate, timestep)
@@ -47,7 +47,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
 
 
 def _frames_per_second(rate: float | None, timestep: float) -> int:
-    """The rate [Hz], or the nearest to 50, if it is a whole number that divides the simulation's; `InputError`."""
+    """The rate [Hz], by default the nearest to 50; `InputError` unless whole and a divisor of the simulation's rate."""
     most = round(1.0 / timestep)
     allowed = [k for k in range(1, most + 1) if most % k == 0] if abs(most * timestep - 1.0) < 1e-6 else []
     wanted = 50.0 if rate is None else as_positive("rate", rate)
@@ -73,8 +73,8 @@ def write_dataset(
 ) -> None:
     """Write a data set of episodes with the same features into a folder; numbers are stored with 32 bits.
 
-    ``names`` are those of the components, by feature; ``task`` says in words what is done in all episodes. `InputError`
-    if ``fps`` [Hz] is no whole number.
+    ``names`` are the names of the components, by feature; ``task`` describes the task of all episodes in words.
+    `InputError` if ``fps`` [Hz] is not a whole number.
     """
     if abs(fps - round(fps)) > 1e-6:
         raise InputError(f"LeRobot's format has a whole number of frames per second, got {fps:g}")
@@ -97,7 +97,7 @@ def write_dataset(
         begin = end
     schema = _table(tables[0]).schema
     with parquet.ParquetWriter(data, schema) as writer:
-        # A row group for each episode, by which readers find it.
+        # One row group per episode, so that readers find it.
         for frames in tables:
             writer.write_table(_table(frames))
     parquet.write_table(pa.Table.from_pylist(rows), told)
@@ -121,7 +121,7 @@ def write_dataset(
 def _with_indices(frames: Mapping[str, NDArray[Any]], number: int, begin: int, fps: float) -> dict[str, NDArray[Any]]:
     """The features of an episode in the types of the format, with its indices and times."""
     result = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in frames.items()}
-    # One component alone is a number, not a list.
+    # A single component is stored as a number, not as a list.
     result = {name: values[:, 0] if values.shape[1:] == (1,) else values for name, values in result.items()}
     index = np.arange(len(next(iter(result.values()))))
     return result | {

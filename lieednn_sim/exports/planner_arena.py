@@ -1,4 +1,4 @@
-"""Tables of comparisons as benchmark logs of OMPL, from which its own tool makes the database for Planner Arena."""
+"""Tables of comparisons as benchmark logs of OMPL, whose own tool makes the database for Planner Arena from them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieednn_sim.studies.comparison.study import Comparison
 from lieednn_sim.studies.rows import grouped
 from lieednn_sim.values import StrPath
 
-# Names and SQL types of what each run tells; OMPL's own names for the first two.
+# Names and SQL types of the properties of each run; the first two have OMPL's own names.
 _PROPERTIES = (
     *(("time", "REAL"), ("solved", "BOOLEAN"), ("arrived", "BOOLEAN"), ("seed", "INTEGER")),
     *((column.name, "REAL") for column in COLUMNS if column.name != "planning_s"),
@@ -42,14 +42,14 @@ def write(comparisons: Mapping[str, StrPath], folder: Path) -> None:
             "limit": f"{settings_of(table).time_budget:g}",
         }
         for part in grouped(table.rows.values(), ("arm", "scene", "controller")):
-            # A controller of one's own is called by the path of its file.
+            # The name of a user's own controller is the path of its file.
             experiment = re.sub(r"[\s/\\:]+", "_", "-".join(map(str, part.key)))
             lines = _log(experiment, part.rows, **head)
             (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _log(experiment: str, rows: Sequence[Row], *, version: str, date: str, setup: str, limit: str) -> list[str]:
-    """The lines of a log; the reader of OMPL takes each from its place and by the words around it."""
+    """The lines of a log; OMPL's reader finds each value by its place and the words around it."""
     planners = grouped(rows, ("planner",))
     lines = [
         version,

@@ -23,7 +23,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
 
     The entities are ``/scene/<body>`` with the geoms of each body, without floors; ``/target`` and ``/planned_path`` of
     the end effector; and over time ``/joints/<coordinate>/planned`` and ``/measured`` [rad, m], ``/tracking_error`` of
-    the end effector [m], and ``/contacts``, their number. Nothing is sent anywhere: a file is written.
+    the end effector [m], and the number of ``/contacts``. A file is written, and nothing is sent anywhere.
     """
     for name, rollout in rollouts.items():
         with rr.RecordingStream("lieednn_sim", recording_id=name, send_properties=False) as stream:
@@ -35,7 +35,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
 
 
 def _layout() -> rrb.Blueprint:
-    """The scene beside the curves; by itself the viewer would give each curve a plot of its own."""
+    """The scene beside the curves; without a layout, the viewer would make a plot for each curve."""
     plots = (rrb.TimeSeriesView(origin=f"/{name}", name=name) for name in ("joints", "tracking_error", "contacts"))
     curves = rrb.Vertical(*plots, row_shares=[3, 1, 1])
     scene = rrb.Spatial3DView(origin="/", contents=["/scene/**", "/planned_path", "/target"], name="scene")
@@ -59,7 +59,7 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
     stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=0.02), static=True)  # [m]
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions, quaternions = _poses(model, rollout.qpos[rows])
-    # Mocap bodies are markers, or pull the arm: a rollout does not tell where they are. Those of a view stand still.
+    # Mocap bodies are markers, or pull the arm; a rollout does not hold their poses. Those of a view stand still.
     for body in np.flatnonzero((model.body_mocapid < 0) | (arm.state is not None)).tolist():
         path = ["scene", model.body(body).name or f"body {body}"]
         _log_geoms(stream, path, model, body)
@@ -82,11 +82,11 @@ def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
 
 
 def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjModel, body: int) -> None:
-    """Log the visible geoms of a body in its frame, all of a kind as one entity, and each mesh as its own."""
+    """Log the visible geoms of a body in its frame: one entity for all geoms of a type, and one for each mesh."""
     colours = np.round(255.0 * geom_colours(model)).astype(np.uint8)
     first = model.body_geomadr[body]
     geoms = np.arange(first, first + model.body_geomnum[body])
-    # MuJoCo shows geoms of the groups 0, 1 and 2 unless it is asked for others.
+    # By default, MuJoCo shows geoms of the groups 0, 1 and 2.
     geoms = geoms[(model.geom_group[geoms] <= 2) & (colours[geoms, 3] > 0)]
     for number in np.unique(model.geom_type[geoms]):
         kind, alike = mujoco.mjtGeom(number), geoms[model.geom_type[geoms] == number]

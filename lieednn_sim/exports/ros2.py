@@ -1,4 +1,4 @@
-"""Rollouts for ROS 2: the planned trajectory as a message in YAML, and a bag with what was measured."""
+"""Rollouts for ROS 2: the planned trajectory as a message in YAML, and a bag with the measured states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.exports.formats import samples
 from lieednn_sim.simulation import Rollout
 
-# The messages below are the same in every distribution since.
+# The messages below have not changed since this distribution.
 _STORE = get_typestore(Stores.ROS2_HUMBLE)
 _TRAJECTORY, _STATE = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
 
@@ -39,7 +39,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     for name, rollout in rollouts.items():
         if len(rollout.arm.space.balls):
             arm = rollout.arm.name
-            raise InputError(f"arm {arm!r} has ball joints; a JointTrajectory holds hinges and slides alone")
+            raise InputError(f"arm {arm!r} has ball joints; a JointTrajectory holds only hinges and slides")
         trajectory, rows, joints = _trajectory(rollout, rate), samples(rollout, rate), list(rollout.arm.joint_names)
         with (folder / f"{name}.yaml").open("w", encoding="utf-8") as stream:
             message = asdict(trajectory, dict_factory=lambda items: {k: v for k, v in items if k != "__msgtype__"})

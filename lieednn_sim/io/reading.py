@@ -107,7 +107,7 @@ def _loader() -> Any:
                 names = Counter((key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode))
                 for (tag, name), count in names.items():
                     if count > 1 and not tag.endswith(":merge"):
-                        raise ValueError(f"{name!r} is there twice in what begins in line {node.start_mark.line + 1}")
+                        raise ValueError(f"{name!r} occurs twice in the mapping at line {node.start_mark.line + 1}")
             super().flatten_mapping(node)
 
     number = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+")
@@ -135,7 +135,7 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result = dict(pairs)
     if len(result) < len(pairs):
         name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
-        raise ValueError(f"{name!r} is there twice in one object")
+        raise ValueError(f"{name!r} occurs twice in one object")
     return result
 
 

@@ -79,7 +79,7 @@ class TrainingOptions(LearningOptions):
         step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
             one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
             more than ``max_jump``.
-        max_epochs: largest number of epochs over all starts; the last start is limited by it alone.
+        max_epochs: largest number of epochs over all starts; only this number limits the last start.
         verified_stop: test the tolerance with the weights after step and projection; the printed algorithm tests
             before.
     """

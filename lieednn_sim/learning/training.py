@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import fields, replace
+from dataclasses import replace
 from enum import StrEnum
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -12,12 +12,10 @@ from scipy.linalg.lapack import dlange
 
 from lieednn_sim import io
 from lieednn_sim.budget import cpu_time, report
-from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.manifold import Network, WeightManifold, WeightPoint
 from lieednn_sim.learning.options import LearningOptions
 from lieednn_sim.learning.sensitivity import EquilibriumSolver, FlatEquilibrium
-from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, StrPath, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, frozen
 
 
 @frozen
@@ -42,12 +40,6 @@ class History:
     infinity_norm: Floats
     equilibrium: Floats
 
-    def __post_init__(self) -> None:
-        check_fields(self, as_floats, *(field.name for field in fields(self)[:-1]), shape=("K",))
-        check_fields(self, as_floats, "equilibrium", shape=("K", "N", "d"))
-        if len({len(getattr(self, field.name)) for field in fields(self)}) != 1:
-            raise InputError("the columns of a history must have the same length")
-
     def __repr__(self) -> str:
         if not len(self):
             return "<History: empty>"
@@ -59,17 +51,7 @@ class History:
 
     def save(self, path: StrPath) -> None:
         """Write to an ``.npz`` file, atomically."""
-        columns = {field.name: getattr(self, field.name) for field in fields(self)}
-        io.save_arrays(path, "training-history", columns, {})
-
-    @classmethod
-    def load(cls, path: StrPath) -> History:
-        """Read a file of `save`; `FileError` says what is wrong with it."""
-        arrays, _ = io.load_arrays(path, "training-history")
-        try:
-            return cls(*io.take(arrays, path, *(field.name for field in fields(cls))))
-        except InputError as error:
-            raise FileError(f"{path} is not a valid training history: {error}") from None
+        io.save_arrays(path, "training-history", vars(self), {})
 
 
 class StopReason(StrEnum):
@@ -194,7 +176,7 @@ class Training(ABC, Generic[_Options]):
         """The network of the last iterate; None where its weights are not on the manifold."""
 
     def accepts(self, network: Network | None) -> bool:
-        """Whether a network with the target as its stable equilibrium is what was asked for."""
+        """Whether a network whose stable equilibrium is the target meets all other demands."""
         return True
 
     def run(self, first: Floats | None) -> TrainingResult:

@@ -124,7 +124,7 @@ def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:
 
 
 def bend(square: Floats) -> Floats:
-    """The k = (1 - a/2 cot(a/2)) / a^2 from a^2; what cancels at small angles costs nothing in `linear_part`."""
+    """The factor (1 - a/2 cot(a/2)) / a^2 from a^2; callers multiply by a^2, so that cancellation does no harm."""
     safe = np.maximum(square, 1e-8)
     half = 0.5 * np.sqrt(safe)
     return np.asarray((1.0 - half / np.tan(half)) / safe)

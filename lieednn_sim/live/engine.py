@@ -1,6 +1,6 @@
-"""The closed loop of a live view: policy, plant and pushes may change while it goes on; without threads or requests.
+"""The closed loop of a live view, whose policy, plant and pushes may change while it runs; without threads or requests.
 
-Its policies are made by workers of the session. What is proved about them is here, too, and the path ahead of one.
+Workers of the session call the functions here to make its policies, and to find their proofs and the path ahead.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def _unfiltered(policy: Policy) -> Policy:
 
 
 def network_policy(policy: Policy) -> NetworkPolicy | None:
-    """The network policy in a policy, which may be behind a safety filter; None if there is none."""
+    """The policy if it is a network policy, without its safety filter; None for others."""
     inner = _unfiltered(policy)
     return inner if isinstance(inner, NetworkPolicy) else None
 
 
 def certificate_of(policy: Policy) -> Certificate | None:
-    """The certificate of the network of a policy, whatever class the policy has; None without one."""
+    """The certificate of a policy's network, for any class of policies; None if there is none."""
     inner = _unfiltered(policy)
     network = getattr(inner, "network", None) if inner.certified else None
     return network.certificate if isinstance(network, BlockNetwork) else None
@@ -44,13 +44,13 @@ def certificate_of(policy: Policy) -> Certificate | None:
 
 @frozen
 class Progress:
-    """A network's way to its target.
+    """A network's progress towards its target.
 
-    The bound begins again whenever the target moves, or the measured joints pull the state. Its time is the network's
-    own: a policy that slows down is slower on the same orbit.
+    The bound begins again whenever the target moves, or the measured joints pull the state. The time is the network's
+    own: a policy that slows down moves more slowly on the same orbit.
     """
 
-    policy: NetworkPolicy  # whose way it is
+    policy: NetworkPolicy  # the policy of the network
     rate: float  # proved rate of convergence at full speed [1/s]
     decay: Decay | None  # the proved bound on the distance of the visible neurons; None if none was found
     xi: Floats  # (N, 6) present state
@@ -60,7 +60,7 @@ class Progress:
 
     @classmethod
     def of(cls, policy: NetworkPolicy) -> Progress:
-        """What is proved about a policy, before it goes `towards` a target."""
+        """The progress of a policy that has no target yet; see `towards`."""
         network, certificate = policy.network, policy.network.certificate
         assert certificate is not None
         try:
@@ -71,11 +71,11 @@ class Progress:
         return cls(policy, certificate.rate * policy.speed, decay, policy.xi, policy.xi, np.empty(0))
 
     def towards(self, target: Floats) -> Progress:
-        """The way begins again: the policy has another joint target ``(n,)``, or another state."""
+        """The progress begun anew, towards another joint target ``(n,)`` or from another state."""
         return self._begun(self.policy.network.goal(self.policy.arm.encode(target)))
 
     def after(self) -> Progress:
-        """The way after one more control period."""
+        """The progress after one more control period."""
         policy = self.policy
         if policy.pulled:
             return self._begun(self.goal)
@@ -101,14 +101,14 @@ class Progress:
 class Made(NamedTuple):
     """A policy, its settings, its motion, and what is proved about it."""
 
-    settings: Settings  # for which it was made
+    settings: Settings  # settings for which the policy was made
     policy: Policy
     motion: Motion | None  # the planned motion that it follows or imitates
     progress: Progress | None  # what is proved about it; None for a policy without a network
 
 
 def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rate: float, seed: int) -> Made:
-    """Make the policy of some settings; raises as `make_policy` and `plan`. Nothing else may use the arm."""
+    """Make the policy of some settings; raises as `make_policy` and `plan`. No other thread may use the arm."""
     motion = None
     if settings.policy in PLANNED:
         motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
@@ -125,10 +125,10 @@ def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rat
 def foreseen(
     arm: Arm, policy: Policy, motion: Motion | None, progress: Progress | None, q: Floats, target: Floats
 ) -> tuple[Floats, Floats, Floats] | None:
-    """Samples t, q and qd of a policy's way to its target, like those of a motion, where that is known; else None.
+    """Samples t, q and qd of a policy's way to its target, like those of a motion; None if the way is not known.
 
-    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down, in points that
-    are one unit of t apart.
+    For a network the way is its orbit from the present state, which limits and a slow arm only slow down; t then counts
+    the points.
     """
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
         return motion.t, motion.q, motion.qd
@@ -149,7 +149,7 @@ class Tick(NamedTuple):
     q: Floats  # (n,) joint coordinates [rad, m]
     q_ref: Floats  # (n,) their reference
     target: Floats  # (n,) joint target
-    force: Floats  # (3,) force of the last push or pull that acts [N], world
+    force: Floats  # (3,) force of the last one of the acting pushes and pulls [N], world
     pushed: Floats  # (3,) the point where it acts, world [m]
     policy: str  # name of the policy in use; empty while the arm only stops
     message: str  # what the policy does, in words
@@ -157,7 +157,7 @@ class Tick(NamedTuple):
 
 
 class Engine:
-    """A simulated arm behind a policy, both of which may be exchanged between control periods.
+    """A simulated arm driven by a policy, both of which may be exchanged between control periods.
 
     Start and first target ``(n,)`` are unchecked. `InputError` if the controller cannot drive the arm.
     """
@@ -166,7 +166,7 @@ class Engine:
 
     def __init__(self, arm: Arm, settings: Settings, start: Floats, target: Floats, rate: float) -> None:
         self._arm, self._start, self._first, self._rate = arm, start, target, rate
-        self.equipped = settings  # for which controller and plant were made
+        self.equipped = settings  # settings for which controller and plant were made
         self.begin()
         self._loop = ClosedLoop(self.policy, settings.controller, settings.disturbances)
         self._loop.begin(start)
@@ -174,12 +174,12 @@ class Engine:
     def begin(self) -> None:
         """Forget everything but the plant, and stay at the start until there is a policy."""
         self._periods, self._force = 0, (np.zeros(3), np.zeros(3))
-        # With the periods in which they end.
+        # Pushes with the periods in which they end.
         self._pushes: list[tuple[Push, int]] = []
-        # A push that acts until it is taken away, with the point where it acts, None for the centre of mass.
+        # A push that acts until it is removed, with the point where it acts, or None for the centre of mass.
         self.pull: tuple[Push, Floats | None] | None = None
-        self.motion: Motion | None = None  # that the policy follows or imitates
-        self.progress: Progress | None = None  # of a policy with a network
+        self.motion: Motion | None = None  # the motion that the policy follows or imitates
+        self.progress: Progress | None = None  # progress of a policy with a network
         self._name, self.target = "", self._first
         self.policy = MotionTracker.stopping(self._arm, self._start, np.zeros_like(self._start), self._rate)
 
@@ -208,7 +208,7 @@ class Engine:
         return stopping.end
 
     def put_in(self, result: Made) -> None:
-        """Let another policy take over from the present reference; after `InputError` the present one goes on."""
+        """Let another policy take over from the present reference; after `InputError` the present one continues."""
         self._go_on_with(result.policy)
         self._name, self.motion = result.settings.policy, result.motion
         if result.progress is not None:

@@ -25,9 +25,9 @@ from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.validation import Seed, as_count, as_seed
 from lieednn_sim.values import Floats
 
-# Instants shown per second, and how many of them between two refreshed tables and plots.
+# Instants shown per second, and how many of them pass between two updates of tables and plots.
 _RATE, _TABLE = 30.0, 5
-# A drag of the target that tells nothing for this long is over, such as after a lost connection [s].
+# A drag of the target without a message for this long is over, for example after a lost connection [s].
 _DRAG_ENDS = 1.0
 
 
@@ -75,7 +75,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
     def wait(self) -> None:
         """Wait until `close` is called, or until Ctrl-C."""
-        # An event that is waited for without a limit would not see Ctrl-C on every platform.
+        # Waiting for an event without a time limit would not notice Ctrl-C on every platform.
         while not self._closed.wait(1.0):
             pass
 
@@ -89,7 +89,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
         self._resources.close()
 
     async def _drag(self, event: Any) -> None:
-        # Not in the server's pool of threads, where the last two of these calls might change places.
+        # Async, since calls in the server's pool of threads may change their order, also that of the last two.
         self._dragged = time.monotonic() if event.phase != "end" else -_DRAG_ENDS
         target = event.target
         turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.direction_counts.value else None
@@ -118,7 +118,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
 
 def warning(host: str) -> str:
-    """What to say about an address that other machines can reach; empty for the loopback address."""
+    """A warning about an address that other machines can reach; empty for the loopback address."""
     try:
         private = ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -162,7 +162,7 @@ def view(
         InputError: a value is malformed or unknown, or the controller cannot drive the arm.
         LieEDNNError: viser, of the extra ``view``, or the planner's library is not installed.
     """
-    optional_module("mjviser.conversions")  # before the work
+    optional_module("mjviser.conversions")  # fails now, not after the work, if it is missing
     shown = arm if isinstance(arm, Arm) else Arm.load(arm)
     chosen = Settings().changed(**settings)
     first = _usual_target(shown, as_seed("seed", seed)) if target is None else target

@@ -21,7 +21,7 @@ _DIRECTIONS = {
     for sign, factor in (("+", 1.0), ("-", -1.0))
 }
 _BLUE, _GREEN, _ORANGE, _GREY = "#1f77b4", "#2f9e44", "#e67700", "#868e96"
-# Largest force [N], and the distance of the mouse at which a dragged link feels the force of the slider [m].
+# Largest force [N], and the distance of the mouse from a dragged link at which the slider's force acts on it [m].
 _STRONGEST, _STRETCH = 500.0, 0.3
 
 
@@ -58,7 +58,7 @@ class Panel:
             shade.on_update(lambda _: self._theme(dark=shade.value))
 
     def spring(self, grabbed: Sequence[float], mouse: Sequence[float]) -> Floats:
-        """The force ``(3,)`` [N] of a spring from a grabbed point to the mouse, at most that of the slider."""
+        """The force ``(3,)`` [N] of a spring from a grabbed point to the mouse, at most the force of the slider."""
         away = np.subtract(mouse, grabbed) / _STRETCH
         return np.asarray(float(self._force.value) * away / max(1.0, float(np.linalg.norm(away))))
 
@@ -74,7 +74,7 @@ class Panel:
         gui, settings = self._server.gui, self._session.wanted
 
         def slider(label: str, field: str, low: float, high: float, step: float, hint: str | None = None) -> Any:
-            value = getattr(settings, field)  # which may be beyond what is usual
+            value = getattr(settings, field)  # it may be outside the usual range
             return gui.add_slider(label, min(low, value), max(high, value), step=step, initial_value=value, hint=hint)
 
         planners = tuple(name for name, entry in PLANNERS.items() if not entry.install)
@@ -109,7 +109,7 @@ class Panel:
 
 
 class Plots:
-    """Three plots, in the present container of viser's gui: how far from the target, from the network's, and behind."""
+    """Three plots in the present container of viser's gui: distances of arm and network to the target, and tracking."""
 
     def __init__(self, gui: Any) -> None:
         self._uplot = optional_module("viser.uplot")
@@ -134,7 +134,7 @@ class Plots:
         )
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add an instant to the plots; one that is not later than the last one begins them again."""
+        """Add an instant to the plots; one that is earlier than the last one clears them first."""
         tick, progress = snapshot.tick, snapshot.tick.progress
         if self._rows and tick.time < self._rows[-1][0]:
             self._rows.clear()
@@ -142,7 +142,7 @@ class Plots:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
-        # On a logarithmic scale.
+        # The scale is logarithmic, so values have a positive lower bound.
         self._rows.append((tick.time, *(max(value, 1e-3) for value in values)))
         while tick.time - self._rows[0][0] > 10.0:
             self._rows.popleft()

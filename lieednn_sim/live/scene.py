@@ -1,4 +1,4 @@
-"""What a live view shows of an instant of its session, in 3D and in words, in the thread that shows it."""
+"""The 3D scene and the table of a live view, which show one instant of its session; all in the page's thread."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED
 from lieednn_sim.rendering.viewpoint import viewpoint
 from lieednn_sim.values import Floats
 
-# Colour of a target that the arm cannot reach, and of the force on a link [RGB].
+# Colour of a target that the arm cannot reach, and of the arrow of a force [RGB].
 _RED = (222, 45, 38)
 # Most points of the travelled path, and the distance between two of them [m].
 _TRAVELLED, _SPACING = 600, 2e-3
-# Width / height of a picture in which all that the arm reaches is seen at first.
+# Width / height of a picture in which the initial view shows all that the arm can reach.
 _RATIO = 1.0
 _GOOD, _BAD, _IDLE = "#2f9e44", "#e03131", "#868e96"
 _TABLE = '<table style="width:100%;border-collapse:collapse;font-size:.82em;line-height:1.45">'
@@ -43,12 +43,12 @@ class Snapshot(NamedTuple):
     aimed: Aim  # the target that was asked for last
     frames: RigidTransform  # link frames, poses of shape (N,)
     planned: RigidTransform  # link frames of the reference
-    distance: float  # of the end effector from the target [m]
+    distance: float  # distance of the end effector from the target [m]
     angle: float  # the same as an angle [rad]
     tracking: float  # distance of the end effector from its reference [m]
     gap: Floats | None  # (2,) largest mechanism gap of a link [rad, m]; None without a network
     clearance: float  # least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m
-    nearest: tuple[str, str]  # their names; empty beyond
+    nearest: tuple[str, str]  # names of these geoms; empty beyond 0.6 m
 
     @property
     def arrived(self) -> bool:
@@ -57,7 +57,7 @@ class Snapshot(NamedTuple):
 
     @property
     def state(self) -> str:
-        """What the arm does, in words; the policy knows nothing of an arm that does not follow."""
+        """What the arm does, in words: the policy's message does not tell whether the arm follows its reference."""
         there = np.allclose(self.tick.q_ref, self.tick.target, rtol=0.0, atol=1e-4)
         if there and self.tick.message == "moves" and not self.arrived:
             return f"its reference has arrived, the arm is still {_millimetres(self.tracking)} off"
@@ -130,7 +130,7 @@ class ArmScene:
         ]
         place = {"position": aimed.position, "wxyz": aimed.quaternion, "depth_test": False}
         self.handle = scene.add_transform_controls("/target handle", scale=0.28 * self._scale, line_width=3.0, **place)
-        # Seen through what the target may be in.
+        # The label is visible even if the target is inside an obstacle.
         self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")
         blank = np.zeros((2, 3))
         self._planned = viser_scene.add_path(scene, "/planned", blank, PLANNED_COLOUR, PLANNED_RADIUS * self._scale)
@@ -151,7 +151,7 @@ class ArmScene:
         camera = client.camera
         if camera.aspect > _RATIO:
             return
-        # The arm takes three quarters of the width, and stands three tenths of the height above the middle.
+        # The arm takes three quarters of the width, and is three tenths of the height above the middle.
         view = self._view.back_off(self._reached, 0.75 * camera.aspect)
         height = 2.0 * np.linalg.norm(view.position - view.look_at) * np.tan(0.5 * camera.fov)
         lower = 0.3 * float(height) * view.axes[1]
@@ -186,13 +186,13 @@ class ArmScene:
         if pushed != self._arrow.visible:
             self._arrow.visible = pushed
         if pushed:
-            # 3 mm for a newton, and 0.8 m at most.
+            # 3 mm per newton, at most 0.8 m.
             length = min(3e-3, 0.8 / float(np.linalg.norm(tick.force))) * self._scale
             self._arrow.points = np.array([[tick.pushed, tick.pushed + length * tick.force]], dtype=np.float32)
 
 
 def status(snapshot: Snapshot) -> str:
-    """What the policy does, what is proved about it, and how far it is: HTML that is readable on dark and on white."""
+    """What the policy does, what is proved about it, and its errors: HTML that is readable on dark and on white."""
     session, tick, progress = snapshot.session, snapshot.tick, snapshot.tick.progress
     problem = snapshot.aimed.problem or session.failure
     if problem:
@@ -208,7 +208,7 @@ def status(snapshot: Snapshot) -> str:
     ]
     if progress is not None:
         bound = f" &le; {progress.bound:.3g} proved" if np.isfinite(progress.bound) else ", no bound proved"
-        # Below it rounding decides.
+        # Smaller distances are rounding errors.
         rows += [("of the network", "below 1e-9" if progress.distance < 1e-9 else f"{progress.distance:.3g}{bound}")]
     if snapshot.gap is not None:
         rows += [("mechanism gap", f"{_millimetres(snapshot.gap[1])}, {_degrees(snapshot.gap[0])}")]

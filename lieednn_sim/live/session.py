@@ -1,9 +1,9 @@
-"""A simulated arm behind a policy that answers to requests while it runs, without any page.
+"""A simulated arm driven by a policy, which answers requests while it runs; without a page.
 
 One thread runs the control loop (`run`), or the caller steps it (`advance`). Requests may come from any thread; they
-are queued, and the loop takes them between control periods. What takes longer than that, inverse kinematics, planning
-and compiling another plant, is done by workers, whose results are queued in the same way. With `settle` between the
-steps, a session that is stepped is a function of its requests.
+are queued, and the loop takes them between control periods. Work that takes longer (inverse kinematics, planning and
+compiling another plant) is done by workers, whose results are queued in the same way. With `settle` between the steps,
+a session that the caller steps depends only on its requests.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Session:
         settings: policy, controller and disturbances; by default `Settings()`.
         target: ``(n,)`` the first joint target, or a keyframe's name; by default the start.
         start: ``(n,)`` joint coordinates at the beginning and after `reset`, or a keyframe's name.
-        rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
+        rate: control rate [Hz]; by default 100, or the nearest that divides the rate of the model's steps.
         seed: seed of random draws.
 
     Attributes:
@@ -67,12 +67,12 @@ class Session:
         tick: state after the last control period.
         aimed: the latest target that was asked for.
         path: ``(P, 3)`` positions of the end effector on the way to the target, or None if they are not known.
-        way: what is proved of the clearance on that way, or None if it is not known yet.
+        way: the proof of clearance on that way, or None if it is not known yet.
         wanted: the latest settings that were asked for.
         failure: the last error, in words; empty after a request that succeeded.
         paused: whether `run` waits.
         speed: speed at which `run` simulates, relative to real time.
-        achieved: speed at which it has simulated lately.
+        achieved: speed that `run` has reached lately, relative to real time.
 
     Raises:
         InputError: a value is malformed or beyond the arm's limits, or the controller cannot drive the arm.
@@ -99,14 +99,14 @@ class Session:
         self.path: Floats | None = None
         self.way: ClearanceMonitor | None = None
         self._engine = Engine(arm, self.wanted, self.start, first, self._rate)
-        # The settings that the policy serves, None if another one is wanted; and one that waits for the arm to stop.
+        # Settings of the running policy, None if another one is wanted; a new policy that waits for the arm to stop.
         self._served: Settings | None = None
         self._waiting: Made | None = None
         self.aimed, self.tick = self._pose_of(first), self._engine.look()
         self._aimer = Worker("inverse kinematics", self._failed)
         self._maker = Worker("planning", self._failed)
         self._foreseer = Worker("path", lambda error: None)
-        # Each worker has an arm of its own: finding contacts is not for several threads.
+        # Each worker has an arm of its own: finding contacts is not thread-safe.
         self._aimer_arm = copy.deepcopy(arm)
         self._thread: threading.Thread | None = None
         self._remake()
@@ -167,12 +167,12 @@ class Session:
         return push
 
     def choose(self, **settings: Any) -> None:
-        """Change fields of `Settings`; what that takes is made by a worker, and meanwhile the arm goes on.
+        """Change fields of `Settings`; a worker makes the new policy or plant while the arm goes on.
 
         Raises:
             InputError: a value is malformed or unknown.
         """
-        # What runs a file is named when the session is made, not by whoever sees its page.
+        # Paths of code files are accepted only when the session is made, not from whoever sees its page.
         for name, known in (("policy", POLICIES), ("planner", PLANNERS), ("controller", CONTROLLERS)):
             if settings.get(name) is not None:
                 as_choice(name, settings[name], known)
@@ -218,7 +218,7 @@ class Session:
         return self._maker.busy or self._waiting is not None
 
     def run(self) -> None:
-        """Advance in real time times `speed` until `close`; where the machine is too slow, the simulation is, too."""
+        """Advance in real time times `speed` until `close`; on a machine that is too slow, so is the simulation."""
         self._thread = threading.Thread(target=self._keep_time, name="control loop", daemon=True)
         self._thread.start()
 
@@ -293,7 +293,7 @@ class Session:
         return Aim(np.asarray(pose.translation), pose.rotation.as_quat(scalar_first=True))
 
     def _remake(self) -> None:
-        """Let the worker make what the wanted settings need, beyond what there is."""
+        """Let the worker make the policy and the plant that the wanted settings need, unless they are there."""
         engine, desired = self._engine, self.wanted
         needs_policy = self._served is None or self._served.of_policy != desired.of_policy
         needs_plant = engine.equipped.of_plant != desired.of_plant

@@ -1,4 +1,4 @@
-"""What a live view lets its user choose."""
+"""The settings that the user of a live view can change."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Settings:
         return replace(self, **values)
 
     def chosen(self, arm: Arm) -> Settings:
-        """The settings with what is left open chosen for an arm."""
+        """The settings, with fields that are None replaced by the defaults for an arm."""
         planner = default_planner(arm)[0] if self.planner is None else self.planner
         return replace(self, planner=planner, filtered=arm.scene != "free" if self.filtered is None else self.filtered)
 

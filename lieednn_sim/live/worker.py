@@ -1,4 +1,4 @@
-"""Jobs that a control loop cannot wait for, of which only the newest counts."""
+"""Background jobs for which a control loop does not wait; only the newest waiting job counts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class Superseded(Exception):
 
 
 class Worker:
-    """Does jobs one after another in a thread, for which the loop never waits; of those that wait only the newest.
+    """Does jobs one after another in its thread; of the jobs that wait, it does only the newest.
 
-    ``failed`` is called in the thread with an exception of a job other than `Superseded`.
+    ``failed`` is called in this thread with any exception of a job other than `Superseded`.
     """
 
     def __init__(self, name: str, failed: Callable[[Exception], object]) -> None:
@@ -27,13 +27,13 @@ class Worker:
         self._thread.start()
 
     def submit(self, job: Callable[[], object]) -> None:
-        """Do a job as soon as the present one ends, instead of another one that waits."""
+        """Do a job as soon as the present one ends; it replaces another one that waits."""
         with self._changed:
             self._next = job
             self._changed.notify_all()
 
     def check(self, *_: object) -> None:
-        """Within a job, and whenever that reports: raise `Superseded` if its result is no longer wanted."""
+        """Raise `Superseded` if the job's result is no longer wanted; called in jobs, and whenever they report."""
         with self._changed:
             if self._next is not None or self._closed:
                 raise Superseded
@@ -50,7 +50,7 @@ class Worker:
             self._changed.wait_for(lambda: self._closed or not (self._busy or self._next is not None))
 
     def close(self) -> None:
-        """Take no more jobs; the present one ends when it looks (`check`), or with the process."""
+        """Take no more jobs; the present one ends at its next `check`, or with the process."""
         with self._changed:
             self._closed, self._next = True, None
             self._changed.notify_all()

@@ -70,7 +70,7 @@ class PlanSequence:
 
     @property
     def longest_delay(self) -> float:
-        """How much later than planned it can end, when every event comes at the last instant [s]."""
+        """How much later than planned it ends if every event comes as late as possible [s]."""
         waits = [(part.step, self.t[part.last] - self.t[part.first]) for part in self.parts]
         some = [step.seconds - float(taken) for step, taken in waits if isinstance(step, Actuate) and step.until]
         return sum(max(more, 0.0) for more in some)

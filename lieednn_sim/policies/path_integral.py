@@ -107,7 +107,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     # The sensor reports one contact: that of the least distance.
     spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[fields, 1, 1])
     model = spec.compile()
-    model.jnt_actfrclimited[:] = 0  # that a URDF's efforts, and some MJCF, give
+    model.jnt_actfrclimited[:] = 0  # limits of force from a URDF's efforts, or from an MJCF
     for off in ("GRAVITY", "EQUALITY", "LIMIT", "FRICTIONLOSS", "SPRING"):
         model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{off}"))
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -15,11 +15,8 @@ from lieednn_sim.errors import InputError, RenderingUnavailableError
 from lieednn_sim.rendering import opengl, scene_setup
 from lieednn_sim.rendering.viewpoint import unhidden
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, quoted
 from lieednn_sim.values import Floats
-
-__all__ = ["PRESETS", "Camera"]
 
 Image = NDArray[np.uint8]
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
@@ -60,13 +57,13 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
 
     Args:
         arm: the arm; the model of a view is rendered as it is.
-        camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``, from
-            the side from which most of the path of ``run`` is free.
+        camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points`` from
+            the side that shows most of the path of ``run``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
         target: joint target ``(n,)`` for the marker, the scene's own or an added one; a view has no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
-        run: a rollout of the arm, which gives target and points, and whose path is to be seen.
+        run: a rollout of the arm, which replaces target and points, and whose path should be visible.
 
     Raises:
         InputError: the camera or preset is unknown, or the size cannot be rendered.
@@ -95,7 +92,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         self._camera = scene_setup.camera(arm, camera, held, run, size[0] / size[1])
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
-        # As fine as the picture needs: 4096, as in the scenes, take a software renderer a third longer.
+        # Shadows as fine as the picture needs: with 4096, as in the scenes, a software renderer takes a third longer.
         self._model.vis.quality.shadowsize = max(1024, int(0.8 * size[0]))
         self._data = mujoco.MjData(self._model)
         self.mark(target)
@@ -112,7 +109,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         return self.picture_at(self._arm.qpos(as_floats("q", q, (self._arm.n_joints,))), draw)
 
     def picture_at(self, qpos: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
-        """The same at positions ``(nq,)`` of everything in the model."""
+        """As `picture`, at positions ``(nq,)`` of everything in the model."""
         self._data.qpos[:] = as_floats("qpos", qpos, (self._model.nq,))
         mujoco.mj_forward(self._model, self._data)
         # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
@@ -126,16 +123,16 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         return np.asarray(self._renderer.render())
 
     def seen(self, points: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
-        """Pixels ``(P, 2)`` of points ``(P, 3)`` in the last picture, and which of them nothing is before.
+        """Pixels ``(P, 2)`` of points ``(P, 3)`` in the last picture, and which points are not hidden.
 
-        Pixels are counted from the upper left corner; those of points behind the camera are not numbers.
+        Pixels are counted from the upper left corner; those of points behind the camera are NaN.
         """
         held, renderer = as_floats("points", points, (3,), batched=True), self._renderer
         left, right = renderer.scene.camera
         place, forward, up = 0.5 * (left.pos + right.pos).astype(float), left.forward, left.up
         away = held - place
         depth = away @ forward
-        # Half the height of the picture there [m].
+        # Half the height of the picture at that depth [m].
         half = left.frustum_top * (np.ones_like(depth) if left.orthographic else depth / left.frustum_near)
         scale = np.where(depth > 0.0, 0.5 * renderer.height / np.where(depth > 0.0, half, 1.0), np.nan)
         across = np.stack([away @ np.cross(forward, up), -(away @ up)], axis=1)
@@ -149,6 +146,3 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
             return
         goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
         scene_setup.mark(self._arm, self._data, self._marker, goal)
-
-
-typecheck_public(globals())

@@ -19,21 +19,21 @@ from functools import cache
 
 from lieednn_sim.errors import RenderingUnavailableError
 
-# What MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
+# Values that MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
 _SYNONYMS: Mapping[str, str] = {
     **{name: name for name in ("egl", "osmesa", "cgl")},
     **dict.fromkeys(("glfw", "glx", "wgl", "enable", "enabled", "on", "true", "1"), "glfw"),
     **dict.fromkeys(("disable", "disabled", "off", "false", "0"), "disable"),
 }
 
-# What is tried, best first, by `sys.platform`; CGL needs no window, which GLFW may open in the main thread alone.
+# Backends to try, best first, by `sys.platform`; CGL needs no window, and GLFW opens one only in the main thread.
 _ORDER: Mapping[str, tuple[str, ...]] = {"linux": ("egl", "osmesa"), "darwin": ("cgl", "glfw")}
 
-# Of Debian and Ubuntu: EGL uses a GPU where there is one, else llvmpipe. Mesa 25.1 dropped OSMesa.
+# Packages of Debian and Ubuntu. EGL uses a GPU if there is one, else llvmpipe. Mesa 25.1 dropped OSMesa.
 _PACKAGES: Mapping[str, list[str]] = {"egl": ["libegl1", "libgl1"], "osmesa": ["libosmesa6"]}
 
-# Draws a frame where a crash or a hang of the driver does no harm, and prints the name of the renderer. It leaves
-# without the drivers' clean-up at exit, in which some hang or crash.
+# Draws a frame in a process in which a crash or a hang of the driver does no harm, and prints the renderer's name. It
+# skips the driver's clean-up at exit, in which some drivers hang or crash.
 _PROBE = """
 import mujoco, os
 with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
@@ -44,7 +44,7 @@ with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as ren
 """
 _PROBE_TIMEOUT = 60.0  # [s]; takes about 1 s, or more with a cold disk or a sleeping GPU
 
-# Passes the result of `configure` to child processes, so that they neither probe again nor take it for the user's own.
+# Passes the result of `configure` to child processes, so that these neither probe nor take it for the user's choice.
 _INHERITED = "LIEEDNN_SIM_GL"
 
 
@@ -69,7 +69,7 @@ class Backend:
 
     @property
     def source(self) -> str:
-        """Who chose it: the user's ``MUJOCO_GL``, or the probe."""
+        """What chose the backend: the user's ``MUJOCO_GL``, or the probe."""
         return "MUJOCO_GL" if self.requested else "probe"
 
     @property
@@ -84,7 +84,7 @@ def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
-    and ``detail`` says why. Unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW; last ``disable``.
+    and ``detail`` says why. If unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW, and then none.
     """
     try:
         inherited = Backend(**json.loads(os.environ[_INHERITED]))
@@ -122,20 +122,20 @@ def configure() -> Backend:
     # The module in which MuJoCo decides which OpenGL context its renderer makes.
     contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
     if contexts is not None and backend.renders:
-        # It was imported before, with other settings.
+        # The module was imported before, with other settings.
         importlib.reload(contexts)
     mujoco = sys.modules.get("mujoco")
     if mujoco is not None and backend.renders and not hasattr(mujoco, "Renderer"):
-        # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
+        # MuJoCo was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and so has no renderer yet.
         vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
     return backend
 
 
 def require() -> Backend:
-    """The OpenGL backend in use, which is certain to render.
+    """The OpenGL backend in use, which is known to render.
 
     Raises:
-        RenderingUnavailableError: it cannot render; the message says what to install or unset.
+        RenderingUnavailableError: no backend renders; the message says what to install or unset.
     """
     backend = configure()
     if not backend.renders:
@@ -147,15 +147,15 @@ def require() -> Backend:
 
 
 def _variables(name: str) -> dict[str, str]:
-    """Environment variables of a backend; MuJoCo refuses a PyOpenGL with another platform than its own.
+    """Environment variables of a backend; MuJoCo refuses PyOpenGL on a different platform.
 
-    On macOS, MuJoCo takes "on" for CGL, of which dm_control does not know.
+    On macOS, CGL is called "on", which MuJoCo accepts; dm_control does not know CGL.
     """
     return {"MUJOCO_GL": "on" if name == "cgl" else name, **({"PYOPENGL_PLATFORM": name} if name in _PACKAGES else {})}
 
 
 def _probe(name: str) -> tuple[str, str]:
-    """Draw a frame in a child process: the renderer, or why there is none, also after a crash or hang."""
+    """Draw a frame in a child process; returns the renderer, or an empty text and why it failed, crashed or hung."""
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-c", _PROBE],

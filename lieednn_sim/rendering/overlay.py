@@ -1,4 +1,4 @@
-"""What is drawn over a picture: planned frames and paths, and the caption in a corner."""
+"""Overlays of a picture: planned frames and paths, and the caption in a corner."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from lieednn_sim.values import Floats, frozen
 _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
-# Colours of the paths, in legends too.
+# Colours of the paths and in legends.
 PLANNED_COLOUR, TRACED_COLOUR, LOAD_COLOUR = (20, 191, 179), (250, 204, 26), (237, 84, 158)
-# Radii of the paths in pages [m], and their widths in pictures, where hidden ones are thinner, as parts of the height;
-# those travelled are thicker, since they usually cover the planned one.
+# Radii of the paths in pages [m]; their widths in pictures, as fractions of the height, and the factor of hidden parts.
+# Travelled paths are thicker, since they usually cover the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
 _PLANNED_WIDTH, _TRACED_WIDTH, _HIDDEN = 0.006, 0.008, 0.4
 _font = functools.cache(ImageFont.load_default)
@@ -32,7 +32,7 @@ _font = functools.cache(ImageFont.load_default)
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 
-# A path in a picture: its pixels ``(K, 2)``, which of them are free, its width [pixels] and colour.
+# A path in a picture: its pixels ``(K, 2)``, which of them are unhidden, its width [pixels] and colour.
 Line = tuple[Floats, NDArray[np.bool_], float, tuple[int, ...]]
 
 
@@ -42,8 +42,8 @@ class Overlay:
 
     planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
     traced_tip: Floats  # (K, 3) simulated end effector positions
-    scale: float = 1.0  # of lengths and widths, 1 for an arm of two metres
-    traced_load: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3) what hangs, if anything does
+    scale: float = 1.0  # scale of lengths and widths, 1 for an arm of two metres
+    traced_load: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3) centre of the hanging load, if any
 
     @classmethod
     def of(cls, rollout: Rollout, scale: float) -> Overlay:
@@ -64,9 +64,9 @@ class Overlay:
                 scene.ngeom += 1
 
     def paths(self, seen: Callable[[Floats], tuple[Floats, NDArray[np.bool_]]], k: int, height: int) -> list[Line]:
-        """The planned path, and those travelled up to sample ``k``, as lines of a picture.
+        """The planned path, and the paths travelled up to sample ``k``, as lines of a picture.
 
-        ``seen`` gives pixels of points ``(P, 3)``, and which are free, as `Camera.seen` does.
+        ``seen`` maps points ``(P, 3)`` to their pixels, and whether they are unhidden, as `Camera.seen` does.
         """
         ways = [(self.planned_frames[:, -1, :3, 3], _PLANNED_WIDTH)]
         ways += [(way[: k + 1], _TRACED_WIDTH) for way in (self.traced_tip, self.traced_load) if len(way)]
@@ -79,17 +79,17 @@ class Overlay:
 
 # White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# The legend of `Overlay`'s colours, the last of which is for loads.
+# The legend of `Overlay`'s colours; the last one is for loads.
 KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"), (LOAD_COLOUR, "load"))
 
 
 def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.uint8]:
-    """A copy of a frame ``(height, width, 3)`` with lines over it, which are thinner where they are hidden."""
+    """A copy of a frame ``(height, width, 3)`` with lines drawn over it, thinner where they are hidden."""
     picture, fine = Image.fromarray(image), 3  # drawn in finer pixels, so that edges are smooth
     ends = np.vstack([pixels[np.isfinite(pixels[:, 0])] for pixels, *_ in lines] or [np.empty((0, 2))])
     if not len(ends):
         return image
-    # In no more of the picture than is needed.
+    # Only the part of the picture that holds the lines is drawn.
     low = np.clip(ends.min(axis=0) - 16.0, 0.0, picture.size).astype(int)
     size = np.maximum(np.clip(ends.max(axis=0) + 16.0, 0.0, picture.size).astype(int) - low, 1)
     sheet = Image.new("RGBA", tuple((fine * size).tolist()))

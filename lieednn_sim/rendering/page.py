@@ -1,6 +1,6 @@
-"""Pages that show a motion in 3D: one HTML file that opens without a network, to play, scrub and turn.
+"""Pages that show a motion in 3D: one HTML file that works offline, to play, scrub and turn.
 
-A page has viser's player and a recording, of one arm or of several side by side that share their geometry.
+A page has viser's player and a recording of one arm, or of several side by side that share their geometry.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from lieednn_sim.values import Floats, StrPath
 __all__ = ["render_page"]
 
 _RATE = 25  # poses per second
-_WIDE = 16.0 / 9.0  # widest picture that a view is made for: width / height
+_WIDE = 16.0 / 9.0  # width / height of the widest picture for which a view is made
 _MARGIN = 1.2  # room around what a view contains, as a factor
-# viser's player fills the window below a caption. In a narrow one it zooms out, so that all that is shown is seen.
+# viser's player fills the window below a caption. In a narrow window it zooms out, so that everything stays visible.
 _STYLE = """<style>
 body { display: flex; flex-direction: column; background: #fff; color: #1c1f23; }
 header { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; padding: .55rem .9rem; font-size: .92rem; }
@@ -53,11 +53,11 @@ header i { display: inline-block; width: 1.3em; height: .3em; margin-right: .45e
 def player(recording: str, *, title: str = "Motion", style: str = "", header: str = "") -> str:
     """A page with viser's player, the HTML ``header`` above it, and the HTML ``style`` in its head.
 
-    The recording is in base64, or what a script replaces by it. `LieEDNNError` if viser is not installed.
+    The recording is in base64, or a placeholder that a script replaces. `LieEDNNError` if viser is not installed.
     """
     viser = optional_module("viser")
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
-    # The two names are how viser's own pages give their player a recording; see `viser.infra.StateSerializer.as_html`.
+    # Viser's own pages pass a recording by these two names; see `viser.infra.StateSerializer.as_html`.
     given = (
         f'<script>window.__VISER_EMBED_DATA__="{recording}";window.__VISER_EMBED_CONFIG__='
         '{darkMode:matchMedia("(prefers-color-scheme: dark)").matches};</script>'
@@ -72,14 +72,14 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
 def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, title: str = "") -> None:
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
-    It shows the arm in its scene, the target, the planned path, the paths travelled so far by the end effector and by
-    what hangs, and a caption. It opens as a file, asks for nothing from the network, and follows the reader's choice of
+    It shows the arm in its scene, the target, the planned path, the paths travelled so far by the end effector and by a
+    hanging load, and a caption. It opens as a file, loads nothing from the network, and follows the reader's choice of
     light or dark.
 
     Args:
         rollout: the rollout.
         path: ``.html`` file.
-        camera: the view it begins with, as for `render_video`.
+        camera: the initial view, as for `render_video`.
         title: the planner's name, for the caption.
 
     Raises:
@@ -110,7 +110,7 @@ class Recording(NamedTuple):
 
     Attributes:
         content: the recording, a ``.viser`` file.
-        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
+        ratio: least width / height of a picture that shows everything, 1 to 16/9.
     """
 
     content: bytes
@@ -125,12 +125,12 @@ class Recording(NamedTuple):
 def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
     """Record rollouts of one arm on one clock.
 
-    A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its
-    target, the planned path, the path that the end effector has travelled so far, and a label above it, if there are
-    some. The camera is as for `render_page`.
+    A single rollout is seen from the camera of its video; several stand in a row, seen from the same direction. Each is
+    shown with its target, the planned path, the path that the end effector has travelled so far, and its label if
+    there are labels. The camera is as for `render_page`.
 
     Raises:
-        InputError: the rollouts are of several arms or scenes, or the labels are not as many.
+        InputError: the rollouts are of several arms or scenes, or their number is not that of the labels.
         LieEDNNError: viser is not installed.
     """
     if not rollouts or len({rollout.arm.fingerprint for rollout in rollouts}) > 1:
@@ -148,11 +148,11 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
     if len(rollouts) > 1:
         right = view.axes[0] * [1.0, 1.0, 0.0]
         right /= np.linalg.norm(right)
-        # A tenth of its width is left free between one arm and the next.
+        # The gap between two arms is a tenth of their width.
         spacing = 1.1 * float(np.ptp(held @ right))
         offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
         there = (held + offsets[:, None]).reshape(-1, 3)
-        # Narrow, so that all are seen from the same side.
+        # A narrow field of view, so that all are seen from nearly the same side.
         view = Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
         ratio = _WIDE
     with quiet_server() as server:
@@ -178,7 +178,7 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
 
 
 class _Copy:
-    """One rollout's arm, target and paths, a translation of those in the model."""
+    """One rollout's arm, target and paths, translated from their place in the model."""
 
     def __init__(
         self, scene: Any, shapes: Shapes, marker: int, rollout: Rollout, name: str, offset: Floats, scale: float
@@ -208,7 +208,7 @@ class _Copy:
             trail.append(path[k])
             node.points = segments(np.array(trail))
             if path is self._way:
-                # What the travelled path covers is left out: at the same depth the two lines would flicker.
+                # Covered parts of the planned path are left out: at the same depth the two lines would flicker.
                 covered = self._followed & (self._samples <= k)
                 self._planned.points = segments(self._plan)[~(covered[:-1] & covered[1:])]
 

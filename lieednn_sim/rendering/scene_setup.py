@@ -1,4 +1,4 @@
-"""Staging of an arm for rendering: light, sky, target marker and camera, where they are missing."""
+"""Staging of an arm for rendering: adds lights, sky, target marker and camera where they are missing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect
 
 
 def reached(arm: Arm) -> Floats:
-    """Points ``(P, 3)`` around what frames and hand reach, at home and at random configurations with a fixed seed."""
+    """Points ``(P, 3)`` around all that frames and hand reach at home and at random configurations of a fixed seed."""
     low, high = arm.position_limits.T
     configurations = np.random.default_rng(0).uniform(low, high, (64, arm.n_joints))
     places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
@@ -32,13 +32,13 @@ def reached(arm: Arm) -> Floats:
 
 
 def planned_frames(run: Rollout) -> Floats:
-    """Planned link frames ``(K, N, 4, 4)``, the last of which is the end effector's; of a view only that one."""
+    """Planned link frames ``(K, N, 4, 4)``, of which the last one is the end effector's; only this one for a view."""
     links = slice(None) if run.arm.state is None else slice(-1, None)
     return run.arm.link_poses(run.q_ref).as_matrix()[:, links]
 
 
 def load_path(run: Rollout) -> Floats:
-    """Where the centre of mass of what hangs was, ``(K, 3)``; ``(0, 3)`` where nothing does."""
+    """Path ``(K, 3)`` of the centre of mass of a hanging load; ``(0, 3)`` without one."""
     model, places = run.arm.model, np.empty((len(run.t), 3))
     mass = model.body_mass * PassiveJoints(run.arm).bodies
     if not mass.any():
@@ -51,10 +51,10 @@ def load_path(run: Rollout) -> Floats:
 
 
 def occupied(run: Rollout) -> Floats:
-    """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the arm passes.
+    """Points ``(P, 3)`` that a picture must contain: the base, the target, and all places that the arm passes.
 
-    These are around the geoms of what moves by a millimetre at some instants, which in the model of a view may be more
-    than the arm, and of the bodies that carry the end effector; and of what stands among them, as far as it does.
+    These are corners of boxes around the geoms that carry the end effector or move by more than a millimetre, which in
+    a view may be more than the arm; and corners around other geoms near these, clipped to the region of the former.
     """
     arm, model = run.arm, run.arm.model
     data, results = mujoco.MjData(model), []
@@ -73,7 +73,7 @@ def occupied(run: Rollout) -> Floats:
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
-    """Corners ``(G, 8, 3)`` of the boxes around geoms; those of planes are the planes' origins."""
+    """Corners ``(G, 8, 3)`` of the boxes around geoms; the corners of a plane are its origin."""
     centre, half = model.geom_aabb[:, None, :3], model.geom_aabb[:, None, 3:].copy()
     half[model.geom_type == _PLANE] = 0.0
     inside = centre + half * np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -87,7 +87,7 @@ def place(arm: Arm) -> str:
 
 
 def caption(run: Rollout, time: float) -> list[str]:
-    """What a run is of, the step of a sequence at a time [s] or the controller, and what is proved of its clearance."""
+    """Arm and scene of a run, the step of a sequence at a time [s] or the controller, and its proved clearance."""
     proof = [] if run.clearance is None else [run.clearance.at(time)]
     return [place(run.arm), run.step_at(time) or run.controller, *proof]
 
@@ -102,8 +102,8 @@ def camera(
 ) -> mujoco.MjvCamera:
     """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points.
 
-    A picture of width / height ``ratio`` then contains the points ``(P, 3)``, from the side from which most of the path
-    of a ``run`` is free.
+    A picture of width / height ``ratio`` then contains the points ``(P, 3)``, seen from the side that shows most of the
+    path of a ``run``.
     """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
     result = mujoco.MjvCamera()
@@ -122,16 +122,16 @@ def camera(
 
 
 def scale(arm: Arm, points: Floats) -> float:
-    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes and from 1.3 m on."""
+    """Scale of lengths and widths drawn around an arm: 1 in the package's scenes, and for extents from 1.3 m on."""
     return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
 
 
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
-    Joints and their order are the same in the copy. The marker is no larger than the hand, or in proportion to the
-    points ``(P, 3)`` where that has no shape. Links of one colour get tones of it. The model of a view gets no marker,
-    and a brighter headlight if it has no other lights.
+    The copy has the same joints in the same order. The marker is no larger than the hand or, if the hand has no shape,
+    in proportion to the points ``(P, 3)``. Links that all have one colour get tones of it. The model of a view gets no
+    marker, and a brighter headlight if it has no other lights.
     """
     model = arm.model
     if arm.spec is None:
@@ -144,9 +144,9 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     if marked and arm.import_report is None:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
-    spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
+    spec.compiler.discardvisual = False  # the default of URDF files would remove all that is added here
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
-    # Robots bring a spotlight at most, around which all is dark.
+    # Models of robots have at most a spotlight, which leaves the surroundings dark.
     for light in list(spec.lights):
         spec.delete(light)
     spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
@@ -166,7 +166,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     if not marked:
         size = 0.06 * float(np.linalg.norm(np.ptp(points, axis=0)))
         radius = min(0.5 * float(np.median(_hand(arm))) or 0.25 * size, 0.5 * size)
-        reach = max(2.0 * radius, 0.5 * size)  # of the axes, which a hand would hide on arrival
+        reach = max(2.0 * radius, 0.5 * size)  # length of the axes; a hand at the target would hide shorter ones
         marker = spec.worldbody.add_body(name=name, mocap=True)
         marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=glass, **_UNSEEN)
         for axis, colour in zip(np.eye(3), axes, strict=True):
@@ -179,7 +179,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
 
 
 def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> None:
-    """Put the marker, by its mocap id, at a joint target ``(n,)``, or without one into the base, which hides it."""
+    """Put the marker, given by its mocap id, at a joint target ``(n,)``; without one, into the base, which hides it."""
     if marker == _NO_MARKER:
         return
     pose = arm.base if target is None else arm.link_poses(target)[-1]
@@ -188,7 +188,7 @@ def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> N
 
 
 def _tone_links(model: mujoco.MjModel, last: int) -> None:
-    """Give the links up to a body, from dark to light, tones of their colour if all have the same."""
+    """Give the links up to a body tones of their colour, from dark to light, if all have the same colour."""
     chain = ancestry(model, last)[1:]
     ranks = {body: len(set(model.body_weldid[chain[:place]])) for place, body in enumerate(chain, start=1)}
     nearest = [max((ranks.get(a, 0) for a in ancestry(model, body)), default=0) for body in range(model.nbody)]

@@ -1,4 +1,4 @@
-"""One picture of a whole motion: the arm at several instants, the earlier ones faded, with its path and target."""
+"""One picture of a whole motion: the arm at several instants, fainter at earlier ones, with its path and target."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
     chosen = instants(overlay.traced_tip, len(OPACITIES))
 
     def draw_without_arm(scene: mujoco.MjvScene) -> None:
-        # Where no camera and no light sees what is put there [m].
+        # A place that no camera and no light sees [m].
         away = (0.0, 0.0, -1e4)
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
@@ -69,7 +69,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
 
     with Camera(rollout.arm, camera=camera, size=size, preset=preset, run=rollout) as view:
         empty = view.picture_at(rollout.qpos[0], draw_without_arm)
-        # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
+        # In the order of time. Where a picture equals the empty one, it shows neither the arm nor its shadow.
         result = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
             picture = view.picture_at(rollout.qpos[k])

@@ -21,17 +21,17 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.camera import Camera, Image
+from lieednn_sim.rendering.camera import PRESETS, Camera, Image
 from lieednn_sim.rendering.overlay import KEY, Line, Overlay, draw_lines, write_caption
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path, as_positive
 from lieednn_sim.values import StrPath
 
-__all__ = ["render_video"]
+__all__ = ["PRESETS", "Camera", "render_video"]
 
 _PLAIN = Picture.Dither.NONE
-_STILL = 1e-5  # what moves by less between frames [m, rad] is not rendered again, which takes nearly all of the time
+_STILL = 1e-5  # a frame that differs by less [m, rad] is not rendered again: rendering takes nearly all of the time
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
 
 
@@ -55,11 +55,11 @@ def render_video(
     preset: str = "nice",
     title: str = "",
 ) -> int:
-    """Render a video of a rollout, with planned link frames, and the paths of the end effector and of what hangs.
+    """Render a video of a rollout, with planned link frames, and the paths of the end effector and of a hanging load.
 
-    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, what is
-    proved of the clearance then, and a colour legend. The model of a view is shown as it is, with all that moves; the
-    caption names a sequence's step.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, the
+    proved clearance at that time, and a colour legend; in a sequence it names the step. The model of a view is shown as
+    it is, with everything that moves.
 
     Args:
         rollout: the rollout, whose target the marker shows.
@@ -134,7 +134,7 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
 
 
 def _with_key(frame: Picture.Image) -> Picture.Image:
-    """A frame in 256 colours, among which are those of the legend: they are too rare to be found."""
+    """A frame in 256 colours, the legend's among them, which are too rare in the frame to be chosen otherwise."""
     palette = frame.quantize(256 - len(KEY))
     others = (palette.getpalette() or [])[: 3 * (256 - len(KEY))]
     palette.putpalette([*others, *itertools.chain(*(colour for colour, _ in KEY))])

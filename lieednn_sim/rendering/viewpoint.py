@@ -1,4 +1,4 @@
-"""Where a picture is taken from: viewpoints, what they contain, and the side from which a path is hidden least."""
+"""Viewpoints of pictures, the points that they contain, and the side from which a path is hidden least."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.values import Floats, frozen
 
-# Sides [deg], the one that is taken unless another one is better first.
+# Sides [deg]; the first one is taken unless another one is better.
 _AZIMUTHS, _ELEVATIONS = 125.0 + 30.0 * np.array([0, -1, 1, -2, 2, -3, 3, -4, 4, -5, 5, 6]), (-20.0, -45.0)
 # Geoms of these groups are drawn.
 _DRAWN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
@@ -19,7 +19,7 @@ _DRAWN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
 
 @frozen
 class Viewpoint:
-    """Where a browser looks from: position ``(3,)``, the point ``(3,)`` in the middle [m], and vertical angle [rad]."""
+    """A browser's view: position ``(3,)``, the point ``(3,)`` in the middle [m], and vertical field of view [rad]."""
 
     position: Floats
     look_at: Floats
@@ -56,7 +56,7 @@ class Viewpoint:
 
 
 def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera, points: Floats) -> Viewpoint:
-    """The viewpoint of a camera of MuJoCo; in the middle is what is as far away as the points ``(P, 3)``."""
+    """The viewpoint of a camera of MuJoCo; its middle is as far away as the mean of the points ``(P, 3)``."""
     scene = mujoco.MjvScene(model, maxgeom=1)  # no geoms are asked for, only the camera's pose and frustum
     mujoco.mj_camlight(model, data)
     mujoco.mjv_updateCamera(model, data, camera, scene)
@@ -68,9 +68,9 @@ def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCame
 
 
 def around(points: Floats, azimuth: float, elevation: float, angle: float, ratio: float) -> Viewpoint:
-    """The viewpoint from a side, as MuJoCo names it [deg], whose picture of width / height ``ratio`` the points fill.
+    """The viewpoint from a side (MuJoCo's angles [deg]) whose picture of width / height ``ratio`` the points fill.
 
-    A tenth is left free around the points ``(P, 3)``; ``angle`` is the vertical field of view [rad].
+    A margin of a tenth is left around the points ``(P, 3)``; ``angle`` is the vertical field of view [rad].
     """
     turn, rise = np.deg2rad([azimuth, elevation])
     forward = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
@@ -83,12 +83,12 @@ def free_side(
 ) -> tuple[float, float]:
     """Azimuth and elevation [deg] from which most of a path ``(K, 3)`` is seen, at positions ``(I, nq)`` of the model.
 
-    What is seen is the length of the path in the picture where nothing is before it, in the mean over the instants. The
-    first side that sees nearly as much as the best one is taken. The others are as for `around`.
+    The measure is the length of the visible path in the picture, averaged over the instants. The first side from which
+    it is at least 95 % of the largest one is taken. The other arguments are as for `around`.
     """
     data, steps = [kinematics_at(model, qpos) for qpos in instants], np.diff(path, axis=0)
     sides, seen = list(product(_AZIMUTHS, _ELEVATIONS)), []
-    some = points[:: max(len(points) // 2000, 1)]  # the eye need not be where it will be to a millimetre
+    some = points[:: max(len(points) // 2000, 1)]  # a rough position of the eye suffices
     for side in sides:
         view = around(some, *side, angle, ratio)
         length = np.linalg.norm(np.cross(steps, view.axes[2]), axis=1)
@@ -100,7 +100,7 @@ def free_side(
 def unhidden(
     model: mujoco.MjModel, data: mujoco.MjData, eye: Floats, points: Floats, without: int = -1
 ) -> NDArray[np.bool_]:
-    """Which of points ``(P, 3)`` no drawn geom is before, seen from ``eye`` ``(3,)``; one body may be left out."""
+    """Which of points ``(P, 3)`` no drawn geom hides from ``eye`` ``(3,)``; one body may be left out."""
     rays = points - eye
     length = np.linalg.norm(rays, axis=1)
     distance, count = np.empty(len(rays)), len(rays)

@@ -29,7 +29,7 @@ class Shape(NamedTuple):
 
 
 class Shapes:
-    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them."""
+    """The geometry of a model that a video shows: groups, colours and transparency are as MuJoCo renders them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
@@ -37,7 +37,7 @@ class Shapes:
         _find_tendons(model, data)
         self.model = model
         self.shapes: list[Shape] = []
-        # Ids of planes, which are floors of unlimited size, and of tendons by their colour and radius [m].
+        # Ids of planes, which are infinite floors, and of tendons by their colour and radius [m].
         self.floors: list[int] = []
         self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
@@ -66,11 +66,11 @@ class Shapes:
             if model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0:
                 still.append(mesh.bounds @ data.xmat[body].reshape(3, 3).T + data.xpos[body])
             if rgba is not None:
-                # Without the colours of its parts, which take longest to handle.
+                # Without the colours of its parts, which are slow to handle.
                 mesh = type(mesh)(*_parted(mesh, trimesh_graph), process=False)
             self.shapes.append(Shape(body, mesh, rgba))
         points = np.vstack(still)
-        # (2, 3) least and largest coordinates of what does not move, but floors; (0, 3) if there is nothing.
+        # (2, 3) least and largest coordinates of all static geometry except floors; (0, 3) if there is none.
         self.extent = np.array([points.min(axis=0), points.max(axis=0)]) if len(points) else points
 
 
@@ -96,7 +96,7 @@ class ModelNodes:
         self.model = model = shapes.model
         self.data = mujoco.MjData(model)
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
-        # Nodes by the ids of bodies: each body's that has a geometry, and of its surfaces, whose `color` can be set.
+        # By ids of bodies: the node of each body with geometry, and those of its surfaces, whose `color` can be set.
         self.bodies: dict[int, Any] = {}
         self.surfaces: dict[int, list[Any]] = {}
         for shape in shapes.shapes:
@@ -142,7 +142,7 @@ def add_floor(scene: Any, shapes: Shapes) -> None:
 
 
 def segments(points: Floats) -> Floats:
-    """The segments ``(K - 1, 2, 3)`` of a path ``(K, 3)``, as viser takes them: at least one."""
+    """The segments ``(K - 1, 2, 3)`` of a path ``(K, 3)``, but at least one, since viser needs it."""
     ends = points if len(points) > 1 else np.repeat(points, 2, axis=0)
     return np.stack([ends[:-1], ends[1:]], axis=1)
 
@@ -159,7 +159,7 @@ def _find_tendons(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def _pieces(data: mujoco.MjData, tendon: int) -> Floats:
-    """The straight pieces ``(S, 2, 3)`` of a tendon; there is none at a pulley."""
+    """The straight pieces ``(S, 2, 3)`` of a tendon; there is a gap at a pulley."""
     rows = slice(first := data.ten_wrapadr[tendon], first + data.ten_wrapnum[tendon])
     pulley = data.wrap_obj.ravel()[rows] == -2
     return segments(data.wrap_xpos.reshape(-1, 3)[rows])[~(pulley[:-1] | pulley[1:])]

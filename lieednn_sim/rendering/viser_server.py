@@ -1,7 +1,7 @@
-"""A server of viser that answers its own page only.
+"""A server of viser that answers only its own page.
 
-A browser lets any site that is open in it connect to a local port. viser's server (https://viser.studio), which is
-optional, would let it in; so who asks is looked at first, in the headers that browsers set and sites cannot.
+A browser lets any open site connect to a local port, and viser's server (https://viser.studio), which is optional,
+would answer it. So each request is first checked by the headers that browsers set and sites cannot change.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _starting = threading.Lock()
 
 @contextlib.contextmanager
 def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """A `viser.ViserServer` without its messages, by default at a free port, which refuses what `refusal` refuses.
+    """A `viser.ViserServer` without its messages, by default at a free port, which checks requests by `refusal`.
 
     Raises:
-        LieEDNNError: viser is not installed, or its server cannot be made to ask.
+        LieEDNNError: viser is not installed, or the check cannot be put into its server.
     """
     viser = optional_module("viser")
     with contextlib.redirect_stdout(io.StringIO()), _asking(host) as asked:
@@ -38,7 +38,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
             raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
         yield server
     finally:
-        # What does not close by then, such as a connection that a browser holds without a use, would be waited for.
+        # The server waits for open connections, also for one that a browser holds unused: abort them after 0.3 s.
         for connection in [each for started in asked for each in list(started.server.handlers)]:
             connection.loop.call_soon_threadsafe(connection.loop.call_later, 0.3, connection.transport.abort)
         with contextlib.redirect_stdout(io.StringIO()):
@@ -46,10 +46,10 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
 
 
 def refusal(headers: Mapping[str, str], host: str) -> str:
-    """Why a request with these headers is not answered by a server that listens at ``host``; empty if it is.
+    """Why a server that listens at ``host`` refuses a request with these headers; empty if it does not.
 
-    Its ``Host`` must be an address in numbers, the name of this machine, or ``host``: a site whose name is made to lead
-    here keeps that name. Its ``Origin``, if it has one, must be the same: another site's page has another.
+    ``Host`` must be a numeric address, the name of this machine, or ``host``: a site whose name was redirected to this
+    machine (DNS rebinding) still sends its own name. ``Origin``, if given, must be the same: other sites have others.
     """
     asked = headers.get("Host", "")
     own = socket.gethostname().lower()
@@ -78,9 +78,9 @@ def _is_address(name: str) -> bool:
 
 @contextlib.contextmanager
 def _asking(host: str) -> Iterator[list[Any]]:
-    """Let servers that start in here look at each request; the list has them.
+    """Let servers that start in the block check each request; yields the list of these servers.
 
-    viser has no setting for it; its server is one of websockets', which asks the function ``process_request`` first.
+    viser has no setting for this, but uses a server of websockets, which calls ``process_request`` first.
     """
     import websockets.asyncio.server as websockets_server
 
@@ -92,7 +92,7 @@ def _asking(host: str) -> Iterator[list[Any]]:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
             return process_request(connection, request)
 
-        quiet = logging.Logger("viser", logging.CRITICAL)  # who connects and asks for nothing is no error
+        quiet = logging.Logger("viser", logging.CRITICAL)  # a connection without a request is no error
         asked.append(serve(*args, process_request=process, logger=quiet, **settings))
         return asked[-1]
 

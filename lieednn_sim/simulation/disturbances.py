@@ -136,7 +136,7 @@ class Disturbances:
         return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
 
     def late(self, end: float, timestep: float) -> str:
-        """What is said of a push that begins when a run is over [s]; empty without one."""
+        """The message about a push that begins at or after the ``end`` of a run [s]; empty without one."""
         # No step begins at the end; times are rounded to the nearest step.
         push = next((push for push in self.pushes if push.start >= end - 0.5 * timestep), None)
         at = push and f"the push on {push.body!r} at {push.start:g} s"

@@ -27,7 +27,7 @@ _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _OTHERS = ("qpos", "ctrl", "link_position", "link_quaternion", "contacts", "contact_force", "target")
 _ARRAYS = ("t", *_PER_COORDINATE, *_OTHERS)
 _CHANNEL = "channel "  # before the names of channels in a file
-SLIP = "slip of "  # begins the names of channels of what a sequence holds
+SLIP = "slip of "  # prefix of the names of channels, each of a body that a sequence holds
 
 
 @frozen
@@ -51,7 +51,7 @@ class Rollout:
             does not move with it, fingers around a free body included.
         contact_force: ``(K,)`` largest normal force among the contacts [N].
         channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as those of `MocapWelds` and
-            `Pushes`; ``slip of BODY`` is how far what a sequence holds has moved in the hand.
+            `Pushes`; ``slip of BODY`` is how far a body held by a sequence has moved in the hand.
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
         qpos: ``(K, nq)`` positions in the order of the arm's model.
@@ -155,7 +155,7 @@ class Rollout:
 
     @cached_property
     def outside(self) -> str:
-        """When and by which joint it left the proof of its plan's clearance; empty without one, and if it did not."""
+        """When and by which joint it left the proof of its plan's clearance; empty if it did not, or has no proof."""
         if self.motion is None or self.clearance is None or self.clearance.proved:
             return ""
         monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)

@@ -190,7 +190,7 @@ def simulate(
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
         if late := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
-            warnings.warn(late, stacklevel=3)  # through the check of arguments
+            warnings.warn(late, stacklevel=3)  # past the wrapper that checks arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
@@ -216,7 +216,7 @@ class _Play:
         self._held, self._place = "", np.zeros(3)
 
     def slips(self) -> list[Channel]:
-        """How far each body that moves hold is from where they had it in the hand at their beginnings."""
+        """For each body that moves hold, a channel of its displacement in the hand since the beginning of the move."""
         steps = [part.step for part in self._sequence.parts]
         held = dict.fromkeys(step.holding for step in steps if isinstance(step, Move) and step.holding)
 
@@ -226,7 +226,7 @@ class _Play:
         return [Channel(f"{SLIP}{body}", "m", partial(slip, body)) for body in held]
 
     def _in_hand(self, data: mujoco.MjData) -> Floats:
-        """Where the held body is in the frame of the body that carries it ``(3,)`` [m]."""
+        """Position ``(3,)`` of the held body in the frame of the body that carries it [m]."""
         hand = int(self._sequence.arm.frames.bodies[-1])
         return np.asarray((data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3))
 

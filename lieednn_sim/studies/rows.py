@@ -32,11 +32,6 @@ def column(heading: str, meaning: str, *, of_motion: bool = False, timed: bool =
     return field(default=None, metadata=about)
 
 
-def outcome() -> Any:
-    """The field ``success`` of a row: whether its ``reason`` is empty."""
-    return field(default=True, init=False)
-
-
 def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
     """The measured columns of a kind of row."""
     return tuple(Column(entry.name, **entry.metadata) for entry in fields(kind) if entry.metadata)
@@ -44,7 +39,7 @@ def columns_of(kind: type[TableRow]) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """A row of a table, with a field for each column, among them ``success`` (see `outcome`) and ``reason``."""
+    """A row of a table, with a field for each column, among them ``success``, whether ``reason`` is empty."""
 
     # The fields that form the key of a row.
     _key: ClassVar[tuple[str, ...]]

@@ -1,4 +1,4 @@
-"""The table of a study: an SQLite file with its rows and with what they have in common."""
+"""The table of a study: an SQLite file with its rows, and with the settings and versions that they share."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Table(Generic[R]):
         try:
             described = {"settings": json.dumps(settings), "versions": json.dumps(versions())}
         except (TypeError, ValueError) as error:
-            raise InputError(f"settings must hold what JSON can: {error}") from None
+            raise InputError(f"settings must hold values that JSON can hold: {error}") from None
         with _connected(file, "rwc") as base:
             # Locked, so that only one of several processes makes the tables.
             base.execute("BEGIN IMMEDIATE")
@@ -209,6 +209,6 @@ def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
             base.execute("PRAGMA trusted_schema = OFF")
             yield base
     except sqlite3.DataError as error:
-        raise FileError(f"cannot read the table {path}: {error}; at most {_LONGEST} bytes of a value are") from None
+        raise FileError(f"cannot read the table {path}: {error}; at most {_LONGEST} bytes per value are read") from None
     except sqlite3.Error as error:
         raise FileError(f"cannot use the table {path}: {error}") from None

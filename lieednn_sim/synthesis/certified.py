@@ -100,8 +100,8 @@ def synthesize(
     target = as_floats("xi", xi, ("N", 6))
     offset = bias if isinstance(bias, str) else as_floats("bias", bias, target.shape)[None]
     magnitudes = [as_positive("bias_magnitude", bias_magnitude)]
-    how: dict[str, Any] = {"gamma": gamma, "mu": mu, "activation": activation, "max_attempts": max_attempts}
-    return _attempt_all(target[None], offset, magnitudes, [as_generator("seed", seed)], **how)[0]
+    rng = as_generator("seed", seed)
+    return _attempt_all(target[None], offset, magnitudes, [rng], gamma, mu, activation, max_attempts)[0]
 
 
 def synthesize_many(
@@ -134,8 +134,8 @@ def synthesize_many(
     given = as_floats("bias_magnitude", bias_magnitude, (), batched=True)
     given = np.broadcast_to(as_floats("bias_magnitude", given, (count,) if given.ndim else ()), (count,))
     magnitudes = [as_positive("bias_magnitude", float(item)) for item in given]
-    how: dict[str, Any] = {"gamma": gamma, "mu": mu, "activation": activation, "max_attempts": max_attempts}
-    return _attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), **how)
+    starts = as_generator("seed", seed).spawn(count)
+    return _attempt_all(targets, offset, magnitudes, starts, gamma, mu, activation, max_attempts)
 
 
 @dataclass(eq=False)
@@ -206,7 +206,6 @@ def _attempt_all(
     bias: str | Floats,
     magnitudes: Sequence[float],
     generators: Sequence[np.random.Generator],
-    *,
     gamma: float,
     mu: float,
     activation: str,

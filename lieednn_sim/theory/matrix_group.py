@@ -141,7 +141,7 @@ class MatrixLieGroup:
         """Elements ``(*shape, m, m)``: exponentials of normal coordinates of standard deviation ``scale``."""
         generator, scale = as_generator("rng", rng), as_positive("scale", scale)
         if len(shape) > 32 or min(shape, default=0) < 0 or math.prod(map(int, shape)) * self.size**2 > MOST_ENTRIES:
-            raise InputError(f"shape must be 32 sizes at most, of {MOST_ENTRIES} numbers in all, got {quoted(shape)}")
+            raise InputError(f"shape must have at most 32 axes and {MOST_ENTRIES} numbers in all, got {quoted(shape)}")
         return self.exp(scale * generator.normal(size=(*shape, self.dimension)))
 
     def project_to_adjoint(self, theta: ArrayLike, start: ArrayLike | None = None) -> Matrices:

@@ -3,10 +3,9 @@
 Complex and quaternion-valued networks are networks on the groups affine(C^x) and affine(H^x) (paper, Sec. 3.2 and
 App. D), whose translations transform by v -> A v with theta = (A, 0) and A the matrix of p -> w p. The translations are
 an invariant subspace when the other coordinates and their bias are 0. The weight w_ij acts on the other coordinates by
-alpha_ij alone, and on the translations by alpha_ij |theta_ij|: we choose alpha_ij = |w_ij| / s and
-theta_ij = s w_ij / |w_ij| with s so large that the other coordinates decay at least at rate gamma/2. (With
-alpha_ij = 1 they would grow from rounding errors for N > gamma/mu.) So the network has a certificate exactly when the
-complex or quaternion network has one.
+alpha_ij alone, and on the translations by alpha_ij |theta_ij|: we choose alpha_ij = |w_ij| / s and theta_ij =
+s w_ij / |w_ij| with s so large that the others decay at least at rate gamma/2. (With alpha_ij = 1 they would grow from
+rounding for N > gamma/mu.) So the network has a certificate exactly when the complex or quaternion network has one.
 
 An activation may commute with the adjoint action (paper, App. N): Phi(X) = tanh(||omega||)/||omega|| X scales the whole
 twist X = (omega, v), and is X at omega = 0. `docs/mathematics/groups.md` proves stability with it, by a P that is

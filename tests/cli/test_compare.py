@@ -5,7 +5,7 @@ from __future__ import annotations
 from lieednn_sim.cli import main
 from lieednn_sim.studies import Comparison
 from lieednn_sim.studies.reactions import study
-from lieednn_sim.studies.reactions.rows import COMPARED, DISTURBANCES, Reaction
+from lieednn_sim.studies.reactions.study import COMPARED, DISTURBANCES, Reaction
 
 ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]

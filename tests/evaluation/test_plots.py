@@ -13,7 +13,7 @@ import lieednn_sim as ls
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import figure_layout, plots
+from lieednn_sim.evaluation import figure_layout, joint_plots, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
 from lieednn_sim.learning.training import History
 from lieednn_sim.planning.motion import Motion
@@ -130,7 +130,7 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
     q[:, 1] += [0.0, 0.002, 0.001]
     rates = np.zeros_like(q)
     rates[1, :2] = [0.25, -0.5] * arm.velocity_limits[:2]
-    plots.plot_joints(replace(rollout_of(arm, q, reference), qd=rates), "joints.png")
+    joint_plots.plot_joints(replace(rollout_of(arm, q, reference), qd=rates), "joints.png")
     rows = np.array(drawn[0].axes).reshape(-1, 4)
     turn, lift = rows[0], rows[1]
     assert turn[1].lines[0].get_ydata() == pytest.approx([0.0, 0.5, 0.2])
@@ -177,7 +177,8 @@ def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
 def test_the_training_s_plot_has_units_and_ticks(drawn):
     epochs = np.arange(1.0, 4.0)
     xi = np.stack([np.full((1, 6), value) for value in (0.5, 0.9, 1.0)])
-    history = History(epochs, [3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8], epochs, epochs, xi)
+    columns = np.array([[3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8]])
+    history = History(epochs, *columns, epochs, epochs, xi)
     plots.plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
     distance, accuracy, rate, equilibrium = drawn[0].axes
     assert distance.lines[1].get_ydata() == pytest.approx([0.5, 0.1, 0.0])

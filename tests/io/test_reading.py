@@ -226,7 +226,7 @@ def test_scenes_that_hold_too_much_or_no_numbers(tmp_path, text, message):
 
 @pytest.mark.parametrize("text", ["obstacles: [1]\ngoals: []\nobstacles: [2]", "a: {b: 1, 'b': 2}"])
 def test_what_is_in_yaml_twice_is_refused(text):
-    with pytest.raises(ValueError, match=r"'(obstacles|b)' is there twice in what begins in line 1"):
+    with pytest.raises(ValueError, match=r"'(obstacles|b)' occurs twice in the mapping at line 1"):
         reading.parse_yaml(text.encode())
     merged = b"defs: [&y {b: 1}, &x {<<: *y, b: 2}]\nz: {<<: *x, c: 3}\n1: a\n'1': b"
     assert reading.parse_yaml(merged) == yaml.safe_load(merged)
@@ -234,7 +234,7 @@ def test_what_is_in_yaml_twice_is_refused(text):
 
 def test_what_is_in_json_twice_is_refused(tmp_path):
     (path := tmp_path / "scene.json").write_text('{"obstacles": [], "goals": [], "obstacles": [1]}')
-    with pytest.raises(FileError, match="'obstacles' is there twice in one object"):
+    with pytest.raises(FileError, match="'obstacles' occurs twice in one object"):
         reading.load_description(path, "scene")
 
 

@@ -7,13 +7,13 @@ import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import pytest
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies import Table
-from lieednn_sim.studies.rows import TableRow, column, outcome
+from lieednn_sim.studies.rows import TableRow, column
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.versions import commit, versions
 
@@ -28,7 +28,7 @@ class Measured(TableRow):
 
     set: str
     number: int
-    success: bool = outcome()
+    success: bool = field(default=True, init=False)
     reason: str = ""
     group: float | None = column("group [m]", "a length")
     count: int | None = column("count", "a number")
@@ -87,7 +87,7 @@ def test_other_settings_and_versions_are_refused(table, tmp_path):
     change(table, """UPDATE about SET value = '{"numpy": "1.0"}' WHERE name = 'versions'""")
     with pytest.raises(FileError, match=r"made with numpy 1.0, now .*; lieednn_sim None, now|lieednn_sim None, now"):
         begin(tmp_path)
-    with pytest.raises(InputError, match="must hold what JSON can"):
+    with pytest.raises(InputError, match="must hold values that JSON can hold"):
         begin(tmp_path, {"a": object()})
 
 
@@ -111,7 +111,7 @@ def test_files_of_another_arm_by_the_same_name_are_refused(tmp_path):
         (["DELETE FROM about"], "does not tell how it was made"),
         (["UPDATE about SET value = '[3]'"], "does not tell how it was made"),
         (["UPDATE about SET value = '3'"], "does not tell how it was made"),
-        (["INSERT INTO about VALUES ('much', printf('%.*c', 2000000, 'x'))"], "at most 1000000 bytes of a value are"),
+        (["INSERT INTO about VALUES ('much', printf('%.*c', 2000000, 'x'))"], "at most 1000000 bytes per value"),
     ],
 )
 def test_tables_of_others_are_refused(table, tmp_path, statements, message):
@@ -144,7 +144,7 @@ def test_a_column_of_another_type_is_refused(tmp_path):
     class Other(TableRow):
         _key = ("name",)
         name: str
-        success: bool = outcome()
+        success: bool = field(default=True, init=False)
         reason: str = ""
         values: list[float] | None = None
 

@@ -1,1 +1,1 @@
-"""Files made into arms: reading, the short list of additions to the model, and the report of both."""
+"""Making arms from files: reading, the short list of additions to the model, and the report of both."""

@@ -12,7 +12,7 @@ from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 
-AUTO, NONE = "auto", "none"  # where `floor` is left to the importer, and where none is wanted
+AUTO, NONE = "auto", "none"  # the importer chooses the floor, or there is none
 FLOOR = "floor"  # the body of a floor that the importer or a scene has added
 _ROOM = PLANNED_CLEARANCE + 0.01  # how far below the moving parts at home a floor lies at least [m]
 
@@ -39,7 +39,7 @@ def add_floor(spec: mujoco.MjSpec, arm: ModelArm, floor: float | str, notes: lis
     if floor == NONE or (planes and floor == AUTO):
         return
     moving, fixed = lowest_points(arm)
-    below = 0.05  # what the boxes around geoms, and a base frame inside of the base, may amount to [m]
+    below = 0.05  # tolerance for boxes around geoms, and for a base frame inside of the base [m]
     if floor == AUTO and moving < fixed - below:
         notes.append("no floor, since the robot reaches below its base at home; floor=HEIGHT adds one")
         return

@@ -1,4 +1,4 @@
-"""Home of a file's robot: a keyframe or the reference position, with joints where they are asked to be."""
+"""Home of a file's robot: a keyframe or the reference position, with some joints moved as asked for."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def move_inside(arm: ModelArm, notes: list[str]) -> Floats:
 
 
 def take_controls(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
-    """Take the controls out of a spec's keyframes, since they are for its present actuators: by keyframe and actuator.
+    """Take the controls, by keyframe and actuator, out of a spec's keyframes, since they are for its present actuators.
 
     Keyframes and actuators without a name get one.
     """
@@ -90,8 +90,8 @@ def give_controls(
 ) -> None:
     """Give the keyframes controls for the actuators that the spec has now, and make the keyframe ``home``.
 
-    At home these are the controls of the keyframe that it was taken from, if it has some, else those that hold the
-    robot there against its load; other keyframes take what they lack from that.
+    At home these are the controls of the keyframe that it was taken from, if it has some, otherwise those that hold the
+    robot there against its load; other keyframes take the controls that they lack from home.
     """
     (load,) = required_forces(model, qpos[None])
     moments = actuator_moments(model)

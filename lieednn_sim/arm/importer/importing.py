@@ -36,8 +36,8 @@ def import_model(
 
     Without ``links``, ``joints`` and ``tip`` the arm is the chain with the most driven joints
     (`serial_chain.longest_chain`). It is cut into compound joints (`compound_joints.cut`), with its link frames at the
-    origins of the bodies behind the cuts. What is added to it, `docs/howto/own_arm.md` lists, and the report says. A
-    spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
+    origins of the bodies behind the cuts. `docs/howto/own_arm.md` lists what is added to it, and the report says it. A
+    given spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
 
     Raises:
         FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
@@ -109,7 +109,7 @@ def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
 def _limits(
     view: View, model: Any, urdf: Mapping[str, float], given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
-    """Limits of rates by coordinate: those given, else the velocities of a URDF, of all joints that it moves."""
+    """Limits of rates by coordinate: the given ones, or the velocities of a URDF for all joints that it moves."""
     space = view.fields["space"]
     most = np.full(len(space), np.inf)
     for name, velocity in urdf.items():

@@ -23,9 +23,9 @@ from lieednn_sim.values import Floats, StrPath
 
 _PACKAGE = "package://"
 _POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LFS pointer file
-# Bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
+# Most bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
-# What xacro replaces, and comments, in which it may be left.
+# Macros that xacro replaces, and comments, which may contain some.
 _MACRO, _COMMENT = re.compile(rb"<xacro:|\$\{|\$\((find|arg|eval|env|optenv) "), re.compile(rb"<!--.*?-->", re.DOTALL)
 _ById = dict[str | None, ElementTree.Element]
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
@@ -103,7 +103,7 @@ def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
 
 
 def _folders(package: str, source: Path) -> Iterator[Path]:
-    """Where a ROS package may be: a folder above the file or beside one, or on ROS's search paths."""
+    """Folders that a ROS package may be in: above the file, beside one of these, or on ROS's search paths."""
     for folder in source.parents:
         yield folder / package
         # A folder above may itself be the package, checked out under another name.
@@ -176,7 +176,7 @@ def check_size(source: Path) -> None:
     """Raise `FileError` for an MJCF or URDF file that asks for more copies, entries or text than the bounds.
 
     And `InputError` for one with macros of ROS, whose elements MuJoCo leaves out. MuJoCo would build all of it, so this
-    is looked at before MuJoCo reads the file.
+    is checked before MuJoCo reads the file.
     """
     waiting, seen = [source], set[Path]()
     while waiting and len(seen) < 100:
@@ -189,7 +189,7 @@ def check_size(source: Path) -> None:
         try:
             root = ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError, RecursionError):
-            # MuJoCo tells what is missing or wrong.
+            # MuJoCo will report what is missing or wrong.
             continue
         _check_elements(root, path)
         if root.tag == "robot":
@@ -199,12 +199,12 @@ def check_size(source: Path) -> None:
 
 
 def _check_links(robot: ElementTree.Element, path: Path) -> None:
-    """Raise `InputError` for links of a URDF that are missing, or in a loop; MuJoCo's message names none."""
+    """Raise `InputError` for missing links of a URDF and for loops of links, which MuJoCo's message does not name."""
     links, carriers = {link.get("name") for link in robot.iterfind("link")}, dict[str | None, list[str | None]]()
     for joint in robot.iterfind("joint"):
         ends = [end.get("link") for tag in ("child", "parent") for end in joint.findall(tag)]
         if len(ends) != 2:
-            continue  # MuJoCo tells
+            continue  # MuJoCo reports it
         child, parent = ends
         if missing := {child, parent} - links:
             raise InputError(f"{path}: joint {joint.get('name')!r} is of a link {missing.pop()!r} that is not there")

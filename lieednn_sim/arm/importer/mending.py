@@ -22,11 +22,11 @@ from lieednn_sim.values import Floats
 
 Joints = Mapping[str, ElementTree.Element]
 
-_LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
+_LEAST_INERTIA = 1e-6  # fraction of a body's largest moment, or [kg m^2]
 
 
 def read_joints(source: Path, notes: list[str]) -> Joints:
-    """The joints of a URDF by name; none of another file, or, with a note, of one that cannot be read."""
+    """The joints of a URDF by name; empty for other files and, with a note, for one that cannot be read."""
     if source.suffix.lower() != ".urdf":
         return {}
     try:
@@ -70,7 +70,7 @@ def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
 
 
 def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, locked: list[str]) -> None:
-    """Fix the body of a hinge or slide where a joint position has it, and those of the joints that follow it."""
+    """Fix the body of a hinge or slide at a joint position, and the bodies of joints that follow it."""
     locked.append(f"{joint.name} at {value:g}")
     for equality in [item for item in spec.equalities if joint.name in (item.name1, item.name2)]:
         follower, coefficients = equality.name1, np.array(equality.data[:5])
@@ -93,7 +93,7 @@ def planar_joints(joints: Joints) -> dict[str, str]:
 
 
 def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
-    """The velocity limit of each joint [rad/s, m/s] that has one, zero being none; none, with a note, if unreadable."""
+    """The velocity limits of joints [rad/s, m/s]; zero counts as none; empty, with a note, if they are unreadable."""
     limits = {name: element.find("limit") for name, element in joints.items()}
     try:
         result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
@@ -106,7 +106,8 @@ def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
 def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """Give inertias to moving links of a URDF without any, and enlarge impossible ones: A + B >= C > 0 must hold.
 
-    Other simulators accept both. Where MuJoCo guesses masses from shapes, no motor has to hold what nobody has weighed.
+    Other simulators accept both. If MuJoCo guesses masses from shapes, their weight is compensated, so that no motor
+    has to hold what nobody has weighed.
     """
     mended, massless, guessed = [], [], []
     for body in spec.bodies[1:]:
@@ -114,7 +115,7 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
             body.gravcomp = 1.0
             guessed.append(body.name)
         if body.joints and not body.explicitinertial and not body.geoms:
-            # As light as MuJoCo's solver bears between links of some kilograms.
+            # As light as MuJoCo's solver tolerates between links of some kilograms.
             body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
             massless.append(body.name)
             continue
@@ -184,7 +185,7 @@ def tie_stages(spec: mujoco.MjSpec, model: mujoco.MjModel, couplings: Couplings,
     for equality in spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in followers:
             continue
-        # Negative numbers are a stiffness and a damping that were chosen explicitly.
+        # Negative numbers are a stiffness and a damping that were set explicitly.
         if equality.solref[0] > reference[0] or equality.solref[0] == 0.0:
             equality.solref, equality.solimp = reference, impedance
             stiffened.append(equality.name1)
@@ -214,7 +215,7 @@ def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, dat
 
 
 def _exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int) -> None:
-    """Exclude what MuJoCo filters as parent and child, but no longer once the parent is a part of the world."""
+    """Exclude pairs that MuJoCo filters as parent and child, but not once the parent is a part of the world."""
     weld, solid = model.body_weldid, np.unique(model.geom_bodyid[colliding_geoms(model)]).tolist()
     known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
     base = [body for body in solid if weld[body] == root]

@@ -101,7 +101,7 @@ class _Overlaps:
         self._finder = arm.contact_finder(_CLOSE)
         self._data = kinematics_at(arm.model, arm.qpos(home))
         self._moved = {int(arm.model.dof_jntid[dof]) for dof in arm.dofs}
-        # By each coordinate, its joints.
+        # For each coordinate, the joints that it moves.
         rates = arm.unit_rates(home).T
         self._movers = [{int(arm.model.dof_jntid[dof]) for dof in np.flatnonzero(row)} for row in rates]
 
@@ -165,7 +165,7 @@ class _Overlaps:
 
 
 def _nearby(arm: ModelArm, home: Floats, samples: Floats) -> Iterator[Floats]:
-    """Configurations away from the limits, nearest to home first: one joint moved, then on lines to random ones."""
+    """Configurations inside the limits, nearest to home first: one joint moved, then on lines to random samples."""
     low, high = arm.position_limits.T
     middle = 0.5 * (low + high)
     scalar = [k for k in range(arm.n_joints) if k not in arm.space.balls]

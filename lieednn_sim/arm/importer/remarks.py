@@ -1,4 +1,4 @@
-"""What to look at in an imported arm: half turns, shapes, contacts, servos, singular links."""
+"""Remarks on an imported arm that a user should look at: half turns, shapes, contacts, servos, singular links."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SINGULAR = 0.1
 
 
 def facts(arm: ModelArm) -> Iterator[str]:
-    """What an arm is measured and limited by."""
+    """An arm's unit of length and its acceleration limits, in words."""
     if arm.length_scale != 1.0:
         yield f"unit of length in the network's coordinates: {arm.length_scale:g} m, the furthest that a link moves"
     limits = zip(arm.joint_names, arm.acceleration_limits, strict=True)
@@ -63,7 +63,7 @@ def _half_turns(arm: ModelArm, groups: Sequence[Sequence[str]], q: Floats) -> It
 
 
 def _shapes(arm: ModelArm) -> Iterator[str]:
-    """That the arm cannot be seen, or cannot touch anything."""
+    """A remark if the arm is invisible, or cannot touch anything."""
     model = arm.model
     moving = moved_together(model, arm.dofs)[model.geom_bodyid] > 0
     if not moving.any():

@@ -1,4 +1,4 @@
-"""What an import may be asked for, and what it reports."""
+"""The options of an import, and its report."""
 
 from __future__ import annotations
 
@@ -106,9 +106,9 @@ class ImportReport:
         couplings: joints of the chain that follow others.
         others: joints that are not the arm's: their own actuators or added ones hold them, or they swing and bend.
         servos: what drives each independent coordinate.
-        notes: everything else that was decided, and what to look at.
-        remarks: those of the notes that may ask for something to be done.
-        modes: free oscillations at home of what nothing drives (`oscillation.PassiveJoints`), slowest first.
+        notes: all other decisions of the import, and what the user should look at.
+        remarks: the notes that may require an action of the user.
+        modes: free oscillations of undriven joints at home (`oscillation.PassiveJoints`), slowest first.
     """
 
     configuration: str

@@ -28,11 +28,11 @@ _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of th
 def choose_chain(
     model: mujoco.MjModel, qpos: Floats, options: ImportOptions, planar: Mapping[str, str], notes: list[str]
 ) -> dict[str, Any]:
-    """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
+    """The arguments of `Arm.of` that name the arm: the options, the sites of the package's arms, or the longest chain.
 
-    Of a chain that is found, joints that closed loops move are left out, where ``qpos`` ``(nq,)`` is where the loops
-    are, and those of planar joints, whose names are the values of ``planar``. `InputError` if there is no such arm, or
-    the choice is ambiguous.
+    A chain that is found here omits joints that closed loops move, judged at the closed configuration ``qpos``
+    ``(nq,)``, and those of planar joints, whose names are the values of ``planar``. `InputError` if there is no such
+    arm, or the choice is ambiguous.
     """
     named: dict[str, Any] = {what: options[what] for what in ("joints", "links", "tip", "base") if options.get(what)}
     if not named:
@@ -67,13 +67,13 @@ def choose_chain(
 
 
 def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = None) -> tuple[Frame, int]:
-    """Base frame and last moving body of the chain with the most driven joints, or of that to the body of a tip.
+    """Base frame and last moving body of the chain with the most driven joints, or of the chain to the body of a tip.
 
     A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
     joint, or closes a loop with it; in a model without such actuators all joints count. A hand at the end of a path is
-    cut off: what lies beyond a fork when it is shorter than what lies before it and another branch is at least half as
-    long, and a last joint that joints off the path follow, as the fingers of a gripper do, or that is named like a
-    gripper (`is_gripper`). `InputError` if there is no such joint, or several chains are equally long.
+    cut off: the part beyond a fork if it is shorter than the part before and another branch is at least half as long,
+    and a last joint that joints off the path follow, as the fingers of a gripper do, or that is named like a gripper
+    (`is_gripper`). `InputError` if there is no such joint, or several chains are equally long.
     """
     driven = _driven_joints(model)
     start = None if base is None else find_frame(model, base)
@@ -161,7 +161,7 @@ def _without_hand(
         last = joints_of(model, path[-1])
         on_path = {joint for body in path for joint in joints_of(model, body)}
         leads_others = any(leader in last and follower not in on_path for follower, leader in ties)
-        # At most one: the body that carries it may be named after a finger that does not move.
+        # Cut off at most one by its name: the body that carries the gripper may be named after a finger that is fixed.
         gripper = not opened and weight[path[:-1]].any() and any(is_gripper(model, joint) for joint in last)
         if weight[path[-1]] and not leads_others and not gripper:
             break

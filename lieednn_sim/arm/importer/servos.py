@@ -49,9 +49,9 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
     """Add servos to a spec, by ``rule``, one of `SERVOS`; the names of their actuators.
 
     Coordinates that nothing drives, or with ``design`` all of them, get a servo of 20 Hz, critically damped on the
-    largest inertia M_ii, the other coordinates held; with these free it may nearly vanish, as for two axes in line, and
-    a servo for that would be weak when both turn. Other joints that nothing drives get one that holds them where they
-    are, if they carry the arm or the file drives nothing at all; else they stay passive. All are slower where the time
+    largest inertia M_ii with the other coordinates held; with these free the inertia may nearly vanish, as for two axes
+    in line, and a servo for it would be weak when both turn. Other undriven joints get a servo that holds them in place
+    if they carry the arm or the file drives nothing at all; else they stay passive. Servos are slower where the time
     step or the soft ties between coupled stages could not follow them, at configurations ``(S, nq)``, home first.
     """
     if rule == "none":
@@ -78,7 +78,7 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
         _add(spec, name, servo)
     if actuators:
         if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
-            # The file's own stay disabled, by their groups.
+            # The file's own actuators stay disabled, by their groups.
             spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
             spec.option.disableactuator = 2**31 - 1
         _slow_down(spec, actuators, configurations[:8], notes)
@@ -109,7 +109,7 @@ def _drivers(
     for k in bare.tolist():
         joint = int(model.dof_jntid[dofs[k]])
         axis = int(dofs[k] - model.jnt_dofadr[joint])
-        # The force range of a joint bounds all its actuators together, so it is none of the servo.
+        # A joint's force range bounds the sum of all its actuators, so it is not the range of the servo.
         limited = np.isfinite(ranges[k]).all() and not model.jnt_actfrclimited[joint]
         force = ranges[k] if limited else None
         tied = bool(np.count_nonzero(basis[:, k]) > 1)
@@ -159,9 +159,9 @@ def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
 def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurations: Floats, notes: list[str]) -> None:
     """Take the integrator implicitfast where Euler's would be unstable, and slow servos down.
 
-    First those of coupled stages, which act on one stage, until their soft ties can keep up: the fastest are taken with
-    which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones, since other
-    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations.
+    The servos of coupled stages, each of which acts on one stage, are slowed first, until the soft ties can keep up: to
+    the fastest with which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones,
+    since other parts may be slow by themselves. Then all are, until the steps are stable at all configurations.
     """
     model = without_stops(compile_spec(spec))
     slower = dict.fromkeys(actuators, 1.0)

@@ -92,7 +92,7 @@ class Demonstrations:
     def without(self, index: int) -> Demonstrations:
         """The demonstrations without the one at ``index``; the times stay the same."""
         if len(self) < 2:
-            raise InputError("one demonstration cannot be left out of one")
+            raise InputError("the only demonstration cannot be left out")
         kept = np.arange(len(self)) != as_count("index", index, 0, len(self) - 1)
         return replace(self, twists=self.twists[kept])
 
@@ -123,7 +123,7 @@ def align(
     lever = as_positive("lever", lever)
     fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most=100_000))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
-        raise InputError("align needs at least one demonstration, and all must show the same")
+        raise InputError("align needs at least one demonstration, and all must record the same quantities")
     goal, twists, times = mean_goal(demonstrations), [], []
     rest = np.tile(goal.translation, (2, 1)), np.tile(goal.rotation.as_matrix(), (2, 1, 1))
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)

@@ -104,7 +104,7 @@ class Demonstration:
             norms = np.linalg.norm(table[:, 3:], axis=1)
             worst = int(np.argmax(np.abs(norms - 1.0)))
             if not 0.9 < norms[worst] < 1.1:
-                raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
+                raise InputError(f"quaternions of {source} must have norm 1, got {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
         result = cls(times, position, rotation, 6 if columns == 7 else columns, source)
         if result.steps(lever=1.0).sum() < 1e-9:  # [m]

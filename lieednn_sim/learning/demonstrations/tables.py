@@ -31,7 +31,7 @@ _LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|n
 
 @dataclass(frozen=True)
 class Layout:
-    """What a table of a recording holds."""
+    """The columns and times that a table of a recording may have."""
 
     counts: Sequence[int]  # the numbers of columns that its samples may have
     words: str  # these columns in words, for messages
@@ -185,7 +185,7 @@ def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> ND
     """The times among the other columns, by lower-case names, in the layout's unit; None if there are none."""
     found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
     if len(found) > 1:
-        raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")
+        raise InputError(f"{path} may have only one column of times, it has: {', '.join(found)}")
     for name, unit in found.items():
         return others[name] * (TIME_UNITS.get(unit[:2], 1.0) / TIME_UNITS[layout.time_unit] if unit else 1)
     for name, values in others.items():
@@ -215,6 +215,6 @@ def _mat(path: Path, _: Layout) -> Iterator[Table]:
     with opened(path, _LARGEST_TABLE) as stream:
         demos = loadmat(stream, simplify_cells=True, variable_names=["demos"]).get("demos")
     if demos is None:
-        raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
+        raise InputError(f"{path} has no structures 'demos', which files of the LASA data set have")
     for demo in [demos] if isinstance(demos, dict) else demos:
         yield np.asarray(demo["pos"]).T, np.ravel(demo["t"]) if "t" in demo else None

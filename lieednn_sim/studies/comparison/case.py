@@ -32,7 +32,7 @@ class Settings:
 
     Attributes:
         duration: duration of every motion [s].
-        hold: time simulated after it [s].
+        hold: time simulated after the motion [s].
         mass_scale: true masses relative to those that the controller knows.
         time_budget: largest CPU time for planning a case [s].
     """
@@ -49,16 +49,16 @@ class Settings:
 
 @lru_cache(maxsize=4)
 def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Arm:
-    """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
+    """The arm in its scene; also makes what a process computes only once, so that no planning time includes it."""
     arm = load(name, scene, seed, user_files)
-    with contextlib.suppress(LieEDNNError):  # reported where it is needed
+    with contextlib.suppress(LieEDNNError):  # the cases report it
         reference_network(arm)
         plan(arm, (arm.keyframe("home") + 0.01).clip(*arm.position_limits.T), planner="lieednn-shaped")
     return arm
 
 
 def arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> tuple[Arm, Floats]:
-    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises if there is none."""
+    """The arm, and a random target ``(n,)`` in its scene, the same for every planner; raises if there is none."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(result, str):
         raise NoSolutionError(result)
@@ -85,8 +85,8 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
 def run_case(case: Case, controllers: Sequence[str], settings: Settings, *, user_files: UserFiles = ()) -> list[Row]:
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
-    Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
-    thread, with one BLAS thread.
+    Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this thread,
+    with one BLAS thread.
     """
     with one_blas_thread():
         try:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
 
-from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.studies.rows import TableRow, column, columns_of
 
 _of_motion = partial(column, of_motion=True)
 
@@ -48,7 +48,7 @@ class Row(TableRow):
     controller: str
     seed: int
     mass_scale: float
-    success: bool = outcome()
+    success: bool = field(default=True, init=False)
     reason: str = ""
     stability: str = ""
     stability_level: str = ""

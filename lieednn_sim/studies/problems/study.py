@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -26,7 +26,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.registry import PLANNERS, optional_module
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.rows import TableRow, column, outcome
+from lieednn_sim.studies.rows import TableRow, column
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
@@ -67,7 +67,7 @@ class Solution(TableRow):
     problem: str  # name of the problem's set
     number: int  # number of the problem in its set
     planner: str
-    success: bool = outcome()  # whether there is a motion within all limits and free of contact
+    success: bool = field(default=True, init=False)  # whether there is a motion within all limits and free of contact
     reason: str = ""
     solve_time: float | None = column(
         "solve time [s]",

@@ -107,7 +107,7 @@ def walking_pole(
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.04, 2.0, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
     body.pos = [100.0, 0.0, 0.0]
     beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
-    # The pole keeps 4 cm from the arm until it stands, and 6 cm from the arm at its target.
+    # The pole keeps 4 cm from the arm while it walks, and 6 cm while it waits, or stands and the arm is at its target.
     before, after, touching = (Surroundings(beside, margin) for margin in (0.04, 0.06, 1e-3))
     tips = np.asarray(arm.link_poses(q).translation)[:, -1]
     # The arm would meet the pole on the second half of the path. The pole walks for 0.6 s, or for 0.6 of the time until

@@ -1,15 +1,16 @@
 """The reactive benchmark: each policy on an arm in a scene, under each disturbance, and its summary.
 
 Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric, the path integral and
-the network that plans again avoid obstacles themselves, and the tracker plays a motion that does.
+the replanning network avoid obstacles themselves, and the tracker plays a motion that avoids them.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,21 +19,88 @@ from lieednn_sim.arm.targets import LIMIT_MARGIN
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.planning import Plan, plan
+from lieednn_sim.planning import Plan, ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
 from lieednn_sim.policies.making import FOLLOWERS
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.case import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.reactions.rows import COMPARED, DISTURBANCES, Reaction
+from lieednn_sim.studies.rows import TableRow, column, columns_of
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
 from lieednn_sim.validation import as_count
 from lieednn_sim.values import Floats, check_fields, frozen
 
-_DURATION = 7.0  # that is simulated [s]
+
+class ComparedPolicy(NamedTuple):
+    """A policy of the benchmark: a name of `POLICIES`, and whether it needs the safety filter among obstacles."""
+
+    policy: str
+    options: PlannerOptions | None = None
+    filtered: bool = True
+
+
+COMPARED: dict[str, ComparedPolicy] = {
+    **{f"lieednn-shaped, rho {r:g}": ComparedPolicy("lieednn-shaped", ShapedOptions(rate=r)) for r in (1, 0.3, 0.1)},
+    "lieednn-certified": ComparedPolicy("lieednn-certified"),
+    "lieednn-replanning": ComparedPolicy("lieednn-replanning", filtered=False),
+    "linear-attractor": ComparedPolicy("linear-attractor"),
+    "dmp": ComparedPolicy("dmp"),
+    "fabric": ComparedPolicy("fabric", filtered=False),
+    "mppi": ComparedPolicy("mppi", filtered=False),
+    "tracker": ComparedPolicy("tracker", filtered=False),
+}
+DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction(TableRow):
+    """A row of the benchmark of disturbed policies: one rollout.
+
+    Attributes:
+        arm, scene: names; together with the next three, the key of the row.
+        policy, disturbance: names of `COMPARED` and of `DISTURBANCES`.
+        seed: seed of target, obstacles and disturbance.
+        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
+        reason: why the rollout failed; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
+    """
+
+    _key = ("arm", "scene", "policy", "disturbance", "seed")
+
+    arm: str
+    scene: str
+    policy: str
+    disturbance: str
+    seed: int
+    success: bool = field(default=True, init=False)
+    reason: str = ""
+    push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
+    final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
+    deviation: float | None = column("deviation [ranges]", "largest distance of a joint from the undisturbed path")
+    back_s: float | None = column(
+        "back after [s]", "time after the disturbance until it stays within a tenth of that; none where it does not"
+    )
+    back_fraction: float | None = column("of path left", "covered by then, as a fraction of the path that was left")
+    effort: float | None = column("effort [s]", "integral of the mean squared actuator force in units of the limits")
+    velocity_fraction: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    force_fraction: float | None = column(
+        "force / limit", "largest actuator force in units of its limit in the weaker direction"
+    )
+    path_m: float | None = column("path [m]", "length of the end effector's path")
+    settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
+    step_us: float | None = column("control step [us]", "median CPU time of a control step", timed=True)
+
+    @property
+    def posed(self) -> bool:
+        """Whether there was a problem to solve; a pole may find no place in the arm's way."""
+        return not self.reason.startswith("problem")
+
+
+MEASURED = columns_of(Reaction)
+_DURATION = 7.0  # duration of a simulation [s]
 
 
 @frozen
@@ -127,7 +195,7 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
 
 
 def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin: float) -> Reaction:
-    """The row of a run in which a pole walks into the way; up to then it is the undisturbed one."""
+    """The row of a run in which a pole walks into the arm's way; until then the run is the undisturbed one."""
     kind, ran = "obstacle", nominal.rollout
     rng = np.random.default_rng([task.seed, DISTURBANCES.index(kind)])
     step = "problem"
@@ -144,7 +212,7 @@ def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin
 def _disturbed(
     task: Task, policy: Policy, disturbance: str, begin: float, path: UndisturbedPath
 ) -> tuple[Floats, Disturbances | None, float]:
-    """Targets, disturbances, and the time at which they are over [s]."""
+    """Targets, disturbances, and the time at which the disturbances end [s]."""
     arm, rng = task.arm, np.random.default_rng([task.seed, DISTURBANCES.index(disturbance)])
     if disturbance == "push":
         link, direction = int(rng.integers(arm.n_links)), rng.normal(size=3)
@@ -162,7 +230,7 @@ def _disturbed(
     if disturbance == "payload":
         push = Push("end effector", (0.0, 0.0, -10.0), begin, _DURATION)
         return task.target, Disturbances(pushes=(push,)), begin
-    # As far from the limits as other random targets, since the safety filter stops short of limits.
+    # Targets keep the distance from limits that other random targets have: the safety filter stops before limits.
     inset = LIMIT_MARGIN * arm.ranges[:, None] * [1.0, -1.0]
     inner = replace(arm, position_limits=arm.position_limits + inset)
     moved = task.target

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import escaped, markdown_table
-from lieednn_sim.studies.reactions.rows import COMPARED, DISTURBANCES, MEASURED, Reaction
+from lieednn_sim.studies.reactions.study import COMPARED, DISTURBANCES, MEASURED, Reaction
 from lieednn_sim.studies.rows import Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.values import StrPath

@@ -16,8 +16,8 @@ from lieednn_sim.rendering.page import Recording, player, record
 from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.case import replay, settings_of
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
-from lieednn_sim.studies.comparison.winners import QUESTIONS, winners
-from lieednn_sim.studies.reactions.rows import MEASURED, Reaction
+from lieednn_sim.studies.comparison.summary import QUESTIONS, winners
+from lieednn_sim.studies.reactions.study import MEASURED, Reaction
 from lieednn_sim.studies.reactions.summary import METHOD, groups
 from lieednn_sim.studies.report.figures import FAMILIES, family, plots
 from lieednn_sim.studies.rows import Column, Group, grouped
@@ -78,7 +78,7 @@ def view(table: Table[Row], cases: Sequence[Case], controller: str) -> View:
     rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
     result = tuple(row for row in rows if row is not None)
     if len(result) < len(rows) or len({(row.arm, row.scene, row.seed) for row in result}) != 1:
-        raise InputError("a view is of one problem that the table has, by one planner or more")
+        raise InputError("a view needs cases of one problem, all of them in the table")
     settings = settings_of(table)
     rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
     return View(result, record(rollouts, [case.planner for case in cases]))

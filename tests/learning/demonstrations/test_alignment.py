@@ -98,9 +98,9 @@ def test_mean_spread_and_those_left():
     np.testing.assert_allclose(both.spread[0, 3:], [2.0, 1.0, 0.0])
     assert both.extent == 4.0
     np.testing.assert_allclose(both.without(0).mean, both.twists[1])
-    with pytest.raises(InputError, match="cannot be left out of one"):
+    with pytest.raises(InputError, match="only demonstration cannot be left out"):
         both.without(0).without(0)
-    with pytest.raises(InputError, match="all must show the same"):
+    with pytest.raises(InputError, match="all must record the same"):
         align([lines[0], recorded([[1.0, 0.0], [0.0, 0.0]])])
 
 

@@ -86,7 +86,7 @@ def test_semicolons_allow_points_and_commas_in_numbers(tmp_path, rows):
         ("time [min],x,y", r"'time \[min\]' may be the time, but is not named so; name it t,"),
         ("elapsed,x,y", "'elapsed' may be the time"),
         ("tick,x,y", "'tick' may be the time"),
-        ("t,x,y,stamp", "one column of times alone, it has: t, stamp"),
+        ("t,x,y,stamp", "only one column of times, it has: t, stamp"),
         ("t,x", "names 2 columns, and its rows have 3"),
         ("frame,x,y", ""),
         (",x,y", ""),
@@ -183,7 +183,7 @@ def test_times_of_an_archive_by_their_name(tmp_path):
         (np.ones((1, 2)), "at least two samples, got 1"),
         (np.ones((5, 2)), "does not move"),
         (np.array([[0.0, np.nan], [1.0, 1.0]]), "1 NaN or infinite entries, the first in row 0"),
-        (np.array([[0.0] * 6 + [1.0], [1.0] * 7]), "must be units, got norm 2 in row 1"),
+        (np.array([[0.0] * 6 + [1.0], [1.0] * 7]), "must have norm 1, got 2 in row 1"),
         (np.array([["a", "b"], ["c", "d"]]), "array of numbers"),
     ],
 )

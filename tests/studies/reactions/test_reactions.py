@@ -15,8 +15,7 @@ from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import study, summary
 from lieednn_sim.studies.reactions.disturbing import UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.reactions.rows import DISTURBANCES, Reaction
-from lieednn_sim.studies.reactions.study import Task
+from lieednn_sim.studies.reactions.study import DISTURBANCES, Reaction, Task
 
 
 def test_a_recovery_by_hand(gantry):

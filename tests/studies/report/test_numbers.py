@@ -13,8 +13,7 @@ from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.studies import Comparison, Settings, write_summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, SHOWN, Row
 from lieednn_sim.studies.comparison.summary import in_order, method, verdict
-from lieednn_sim.studies.reactions.rows import MEASURED, Reaction
-from lieednn_sim.studies.reactions.study import Reactions
+from lieednn_sim.studies.reactions.study import MEASURED, Reaction, Reactions
 from lieednn_sim.studies.report import figures, page, write_page
 
 # In this order in the registry, and so in what is shown.

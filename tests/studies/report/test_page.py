@@ -10,7 +10,7 @@ import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
-from lieednn_sim.studies.comparison.winners import winners
+from lieednn_sim.studies.comparison.summary import winners
 from lieednn_sim.studies.report import choose_problems, figures, page, view, write_page
 from lieednn_sim.studies.report.figures import FAMILIES, family
 
