@@ -96,30 +96,30 @@ PLANNERS = Registry(
 
 _POLICIES = {
     "lieednn-shaped": PolicyEntry(
-        "policies.network_policy:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
+        "policies.network_policy:shaped", "a certified network along the path of a guide", "ShapedOptions"
     ),
     "lieednn-certified": PolicyEntry(
         "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
     ),
     "lieednn-replanning": PolicyEntry(
         "policies.replanning:ReplanningPolicy.of",
-        "a certified network that takes new targets and new paths, among obstacles that move",
+        "a certified network that replans for new targets and around moving obstacles",
         "ReplanningOptions",
     ),
     "lieednn-chunks": PolicyEntry(
         "policies.chunks:ChunkPolicy.of",
-        "a certified network that follows chunks of targets, as learned policies emit them, within the limits",
+        "a certified network that follows action chunks of learned policies within the limits",
         "ChunkOptions",
     ),
     "linear-attractor": PolicyEntry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
     "dmp": PolicyEntry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
-    "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
+    "fabric": PolicyEntry("policies.fabric:fabric", "an attractor with repulsive obstacles", "FabricOptions"),
     "mppi": PolicyEntry(
         "policies.path_integral:path_integral",
         "model-predictive path integral control, with a model of its own",
         "PathIntegralOptions",
     ),
-    "tracker": PolicyEntry("policies.planned:tracker", "a planned motion, whatever the arm does"),
+    "tracker": PolicyEntry("policies.planned:tracker", "plays a planned motion, without feedback"),
 }
 #: All policies by name.
 POLICIES = Registry(
@@ -140,15 +140,15 @@ _CONTROLLERS = {
     ),
     "feedback-linearisation": Entry(
         "simulation.controllers.linearisation:feedback_linearisation",
-        "computed torques through whatever actuators a model has; the default for views",
+        "computed torques by the actuators that a model has; the default for views of models",
     ),
     "mocap": Entry(
         "simulation.controllers.mocap:MocapWelds",
-        "leads the link frames by bodies that are welded to them; no actuators, hence no noise",
+        "moves the link frames by mocap bodies welded to them; no actuators, hence no noise",
     ),
     "mocap-deadbeat": Entry(
         "simulation.controllers.mocap:DeadbeatWelds",
-        "the same with welds that close the error in one step; needs a reference at every time step",
+        "mocap with welds that close the error in one step; needs a reference at every time step",
     ),
 }
 #: All controllers by name: functions or classes that take an arm and a `Reference`.

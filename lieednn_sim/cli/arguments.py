@@ -137,14 +137,13 @@ class Planning(Goal):
             lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or where three hinges move a
             link).
         option: an option of the planner; --planner NAME --help lists them.
-        path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
-            the way.
+        path_constraint: line or orientation: keep the end effector on a straight line, or at its orientation.
         fastest: follow the planned path as fast as the arm's limits allow.
-        settle: time law on the same path that leaves little swinging and bending of passive joints: least-energy, zv,
+        settle: time law on the same path after which hanging loads and bending stages hardly swing: least-energy, zv,
             zvd or ei.
-        learned: directory of 'learn' with a motion of an end effector, which this arm's end effector imitates: from the
-            start of the recordings or --start, in their duration, to their goal or another one.
-        turning: turn the end effector as was recorded, with --learned.
+        learned: directory of 'learn' with a motion that the end effector repeats, in the duration of the recordings;
+            from where they began or from --start; to their goal, or to --target, --position or --pose.
+        turning: keep the recorded orientations of the motion of --learned.
         time_budget: largest CPU time for planning [s]; inf for no limit.
     """
 
@@ -181,8 +180,7 @@ class Simulating:
         controller: one of your own as FILE.py:CLASS, or a name of `CONTROLLERS` (default: position-servo for arms of
             the package, inverse-dynamics with a known payload and for others that servos drive, else
             feedback-linearisation).
-        reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
-            step).
+        reference_rate: rate at which the controller gets references, held in between [Hz] (default: every time step).
         hold: time simulated after the motion [s].
         push: force [N] on a body or link ("link 1", ..., "end effector") from START for DURATION [s].
         disturbances: the other disturbances.

@@ -86,7 +86,7 @@ def demo(
 
 
 def simulate(run: Directory, *, simulating: Simulating) -> None:
-    """Simulate the motion of a run, with disturbances if asked for.
+    """Simulate the motion of a run, optionally with disturbances.
 
     A new simulation replaces the previous one of the run.
 

@@ -46,11 +46,11 @@ def compare(
         cases: the cases.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
-        reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
+        reactive: number of seeds for a benchmark of policies under pushes, loads and new targets; 0 for none.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
-        shard: run only the K-th of N parts of the cases, K/N.
-        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
+        shard: run only part K of N parts of the cases, given as K/N.
+        merge: run nothing; add the rows of the tables in these directories, such as those of --shard.
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))

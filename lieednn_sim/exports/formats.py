@@ -151,11 +151,11 @@ def record(
     Args:
         directory: directory of the data set; it is created if it is missing.
         episodes: number of episodes.
-        arm: name of an arm of the package, a model file, or an `Arm`.
-        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
+        arm: an arm, the name of one of the package, or a model file.
+        scene: obstacles: a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
-        planner: planner of the expert (default: the usual one for the arm in its scene).
-        seed: seed of the first episode that is tried; the others follow one by one.
+        planner: planner of the expert; by default the arm's `default_planner`.
+        seed: seed of the first episode; later episodes have the next seeds.
 
     Raises:
         InputError: an argument is malformed.

@@ -20,7 +20,7 @@ class Settings:
 
     Attributes:
         policy: one of your own as FILE.py:FUNCTION, or a name of `POLICIES`.
-        planner: a name of `PLANNERS`, for the policies of `PLANNED`; by default the `default_planner` of the arm.
+        planner: a name of `PLANNERS`, for policies that follow a plan; by default the arm's `default_planner`.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.
         controller: a name of `CONTROLLERS`.

@@ -64,7 +64,7 @@ def render_video(
     Args:
         rollout: the rollout, whose target the marker shows.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
-        camera: name of a camera of the scene, as in `Camera` (default: overview, if there is one, else a view of all).
+        camera: a camera of the scene, see `Camera` (default: overview, if there is one, else a view of everything).
         size: (width, height) in pixels.
         fps: frames per second of simulated time.
         preset: ``draft``, which is faster, or ``nice``.

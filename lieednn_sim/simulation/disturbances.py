@@ -106,7 +106,7 @@ class Disturbances:
         mass_scale: masses and inertias of the simulated arm, relative to those in the controller's model and in gravity
             compensation.
         position_noise: standard deviation of the white noise on each measured joint position, at every step [rad, m].
-        velocity_noise: the same for velocities [rad/s, m/s].
+        velocity_noise: standard deviation of the same for each measured joint velocity [rad/s, m/s].
         seed: seed of the noise.
         obstacles: obstacles that move; `follow` passes their positions to the policy.
     """

@@ -16,19 +16,19 @@ class ImportOptions(TypedDict, total=False):
 
     Attributes:
         links: names of bodies or sites, from the base outwards; the frame of a body is at its origin.
-        joints: names of the arm's joints, instead of its links, which are then found. Joints that equalities tie to
-            them move with them; all others are surroundings.
-        tip: body or site of the end effector's frame, beyond the last joint, where no links are named. Default: the
-            body that the last joint moves.
+        joints: names of the arm's joints, from which the links follow; instead of links. Joints that equalities couple
+            to them move with them; all others belong to the scene.
+        tip: body or site of the end effector's frame, beyond the last joint, if no links are named. Default: the body
+            that the last joint moves.
         base: body or site of the base frame. Default: the parent of the first moving body of link 1.
         keyframe: configuration of the robot at home. Default: home, else the first keyframe, else the reference
-            position. Keyframes without positions, and with controls for another configuration, don't count.
-        home: positions of joints by name [rad, m] that replace those of the keyframe; for a URDF, which has none.
+            position. Keyframes without positions, and with controls for another configuration, do not count.
+        home: positions of joints by name [rad, m] that replace those of the keyframe, which a URDF does not have.
         limits: velocity, acceleration and jerk of coordinates by name [rad or m, s]; they take precedence over the
             model's.
-        servos: keep the model's actuators and add servos where nothing drives a joint (keep), design new ones for the
-            whole arm (design), or add none (none).
-        overlaps: ignore contacts between parts of the robot that overlap by design (ignore), or not (keep).
+        servos: keep the model's actuators and add servos for undriven joints (keep), design new ones for the whole arm
+            (design), or add none (none).
+        overlaps: ignore contacts between parts of the robot that overlap by design (ignore), or keep them (keep).
         floor: height of the floor [m], or none. Default, auto: the model's own plane, else one at the height of the
             base, and none if the robot reaches below its base at home.
     """

@@ -67,17 +67,17 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of one's own; by default all, without
-            those whose package is missing.
-        arms: a name of `ARMS`, or several, or files as for `Arm.load`, which are replaced by their names; by default
-            all of the package.
-        scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
+        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of your own; by default all whose packages
+            are installed.
+        arms: a name of `ARMS`, or several, or files, as for `Arm.load`; by default telescopic_compound, telescopic_pr
+            and telescopic_rrp.
+        scenes: a name of `SCENES`, or several, or files of obstacles; by default free,window.
         controllers: a name of `CONTROLLERS`, or several; by default position-servo,inverse-dynamics.
         seeds: number of seeds for each arm, scene and planner.
-        first_seed: first seed; another one gives other problems.
+        first_seed: the first seed; change it for fresh problems.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
-        slow_seeds: number of seeds of the planners whose cases take more than a second (``cost`` above `SLOW`), at
-            most ``seeds``; by default as many.
+        slow_seeds: number of seeds for planners whose cases take more than a second, at most ``seeds``; by default as
+            many.
         common: settings of all rows.
         shard: the shard of the cases that is computed; None for all.
 
