@@ -26,7 +26,7 @@ _STAGE = """
     decay{k} = Mul(gamma, x{k})
     rate{k} = Sub(driven{k}, decay{k})
 """
-# Doubles of MatMul, Add and Tanh need operators of 17; every runtime of the last years has them.
+# MatMul, Add and Tanh of doubles need operator set 17, which every runtime of recent years has.
 _MODEL = f"""<ir_version: 8, opset_import: ["": 17]>
 lieednn_step (double[{{size}}] x, double h{{bias}}) => (double[{{size}}] x_next) {{{{
     x1 = Identity(x)
@@ -109,7 +109,7 @@ def c_header(
 ) -> str:
     """A C header: a comment, macros of numbers, and arrays, for the source that defines ``prefix_ARRAYS``.
 
-    Numbers and arrays are by their names, each with what it is in words.
+    Numbers and arrays are given by name, each with a description.
     """
     guard = f"{name.upper()}_H"
     lines = [f"/* {_comment(about)} */", f"#ifndef {guard}", f"#define {guard}", ""]

@@ -7,8 +7,8 @@ h^2 / 2 times the largest acceleration, which is linear on each step of the cubi
 divided. Samples can step over a thin obstacle, a bound cannot.
 
 The proof assumes that MuJoCo's kinematics and distances are right, and that geoms are convex, as MuJoCo takes meshes to
-be. Near height fields, what moves counts with its whole reach. Nothing is proved of parts that closed loops or curves
-move (`Arm.dependents`).
+be. Near height fields, moving parts count with their whole reach. Nothing is proved about parts that closed loops or
+curves move (`Arm.dependents`).
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def proved_clearance(
         if done[worst] and least[worst] < bound:
             bound, time = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
             pair = tuple(pairs[worst].tolist())
-        # Where the middle may touch there is no proof, nor in any part if it may because of errors, which vary slowly.
+        # Give up an interval whose middle may touch; earlier with errors `off`, which hardly differ in its parts.
         last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < coarse)) | (measured > 4 * (_MOST + len(t)))
         last &= ~done
         doubtful = next(map(tuple, pairs[last].tolist()), doubtful)

@@ -39,7 +39,7 @@ _NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as m
 _EFFECTOR = 0.05  # beta, the weight of the end effector's jerk
 _SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
 # Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
-# takes cubic time. Of more, as when whole links are inside of obstacles, only the deepest count.
+# takes cubic time. If more are broken, as when whole links are inside obstacles, only the deepest count.
 _DEEPEST = 600
 
 # Instants ``(C,)`` of near pairs, their distances [m], and slopes ``(C, n)`` of these in units of the ranges.

@@ -195,7 +195,7 @@ class ReplanningPolicy(CodedPolicy):
                 self._seek(goal)
 
     def _seek(self, goal: Floats) -> None:
-        """Search for a path from where the arm can rest on its present one, if possible not before it is found."""
+        """Search for a path from a place ahead where the arm can rest, if possible one passed after the search."""
         if at_goal := self._surroundings.blocked(goal[None]):
             self._blocker, self._reason = at_goal[1], _NOT_FREE
             return

@@ -141,7 +141,7 @@ class Surroundings:
         return str(self._model.body(self._model.geom_bodyid[obstacle]).name)
 
     def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:
-        """Those of the pairs ``(C, 2)`` and their distances that have a moving obstacle within a margin."""
+        """Distances and pairs, out of those of pairs ``(C, 2)``, in which a moving obstacle is within a margin."""
         # Explicit pairs of the model collide whatever their types.
         near = self._moved[pairs].any(axis=1) & (distance < margin)
         return distance[near], pairs[near]
