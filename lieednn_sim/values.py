@@ -29,8 +29,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
     have the same hash; `dataclasses.replace` makes a changed copy. All this also holds for unpickled and deep copies.
-    The ``repr`` is the first line of the class's own ``str``, if it has one; else it shows the fields, and of a long
-    field only its type and shape.
+    The ``repr`` holds the first line of the class's own ``str``; else its fields, long ones by type and shape only.
     """
     result: Any = dataclass(frozen=True, eq=False, repr=False)(cls)
     initialise, names = result.__init__, [item.name for item in fields(result)]
