@@ -29,7 +29,7 @@ def frozen(cls: type[_Class]) -> type[_Class]:
     Arrays may also be within tuples, lists and dictionaries. The given arrays are not changed: the instance has
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
     have the same hash; `dataclasses.replace` makes a changed copy. All this also holds for unpickled and deep copies.
-    The ``repr`` of a long field shows only its type and shape.
+    The ``repr`` holds the first line of the class's own ``str``; else its fields, long ones by type and shape only.
     """
     result: Any = dataclass(frozen=True, eq=False, repr=False)(cls)
     initialise, names = result.__init__, [item.name for item in fields(result)]
@@ -42,6 +42,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
             object.__setattr__(self, name, _as_read_only(getattr(self, name)))
 
     def __repr__(self: Any) -> str:
+        if "__str__" in vars(type(self)):
+            return f"<{type(self).__qualname__}: {str(self).splitlines()[0]}>"
         return f"{type(self).__qualname__}({', '.join(f'{name}={_shown(getattr(self, name))}' for name in told)})"
 
     def __eq__(self: Any, other: object) -> Any:

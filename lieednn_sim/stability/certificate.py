@@ -71,9 +71,6 @@ class Certificate:
         """Proven exponential rate gamma - mu max(lambda_max, 0), at most gamma; 0 when not certified."""
         return self.gamma * min(self.margin, 1.0) if self.valid else 0.0
 
-    def __repr__(self) -> str:
-        return f"<Certificate: {self}>"
-
     def __str__(self) -> str:
         verdict = "globally stable for every bias" if self.valid else "not certified"
         near = f", below by {self.bound - self.lambda_max:.2g}" if self.valid and self.margin < 1e-5 else ""

@@ -17,7 +17,7 @@ from lieednn_sim.stability.certificate import Certificate, known_or_found, verif
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
 from lieednn_sim.validation import as_choice, as_positive, as_ratio
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, frozen
 
 #: Names of the stability conditions in hierarchical order; a verdict's level is one of these, or "none".
 CONDITIONS = (
@@ -51,7 +51,7 @@ class Condition:
     scope: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Verdict:
     """The verdict on a network: all stability conditions, evaluated, and the proofs behind them.
 
@@ -67,9 +67,6 @@ class Verdict:
     certificate: Certificate
     contraction: Contraction
     stiffness: float
-
-    def __repr__(self) -> str:
-        return f"<Verdict: {str(self).splitlines()[0]}>"
 
     @property
     def warning(self) -> str | None:

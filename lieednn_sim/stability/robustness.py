@@ -89,9 +89,6 @@ class Robustness:
         largest = max(guarantee.euler_step if euler else guarantee.rk4_step for guarantee in self.guarantees)
         return largest if self.others is None else min(largest, self.others.largest_step(method))
 
-    def __repr__(self) -> str:
-        return f"<Robustness: {str(self).splitlines()[0]}>"
-
     def __str__(self) -> str:
         scope = "any motion" if self.contracting else "the equilibrium"
         best = self.contracting or self
