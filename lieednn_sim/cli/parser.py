@@ -133,7 +133,7 @@ def _add_option(group: Any, taken: Parameter) -> None:
 
 def _default(taken: Parameter) -> str:
     value = taken.default
-    if isinstance(value, bool) or value in (None, "", ()):
+    if isinstance(value, bool) or value in (None, "", (), []):
         return ""
     entries = value if isinstance(value, tuple) else (value,)
     texts = [f"{each:g}" if isinstance(each, float) else str(each) for each in entries]
