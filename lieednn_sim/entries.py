@@ -99,15 +99,6 @@ class PlannerEntry(Entry):
 
 
 @dataclass(frozen=True)
-class PolicyEntry(Entry):
-    """A policy: a function of a `PolicyTask`, and of its options if there are any, which makes a `Policy`.
-
-    After a reset the policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is
-    "moves", or "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
-    """
-
-
-@dataclass(frozen=True)
 class FormatEntry(Entry):
     """A format of another tool: a function of sources by name, a folder, and options, which writes files into it.
 

@@ -11,7 +11,7 @@ import importlib
 from functools import partial
 from typing import Any
 
-from lieednn_sim.entries import LIBRARIES, Entry, FormatEntry, PlannerEntry, PolicyEntry, Registry, install_command
+from lieednn_sim.entries import LIBRARIES, Entry, FormatEntry, PlannerEntry, Registry, install_command
 from lieednn_sim.errors import LieEDNNError
 
 SLOW = 1.0  # CPU time of a case above which a planner is slow [s]
@@ -95,36 +95,36 @@ PLANNERS = Registry(
 )
 
 _POLICIES = {
-    "lieednn-shaped": PolicyEntry(
+    "lieednn-shaped": Entry(
         "policies.network_policy:shaped", "a certified network along the path of a guide", "ShapedOptions"
     ),
-    "lieednn-certified": PolicyEntry(
+    "lieednn-certified": Entry(
         "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
     ),
-    "lieednn-replanning": PolicyEntry(
+    "lieednn-replanning": Entry(
         "policies.replanning:ReplanningPolicy.of",
         "a certified network that replans for new targets and around moving obstacles",
         "ReplanningOptions",
     ),
-    "lieednn-chunks": PolicyEntry(
+    "lieednn-chunks": Entry(
         "policies.chunks:ChunkPolicy.of",
         "a certified network that follows action chunks of learned policies within the limits",
         "ChunkOptions",
     ),
-    "linear-attractor": PolicyEntry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
-    "dmp": PolicyEntry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
-    "fabric": PolicyEntry("policies.fabric:fabric", "an attractor with repulsive obstacles", "FabricOptions"),
-    "mppi": PolicyEntry(
+    "linear-attractor": Entry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
+    "dmp": Entry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
+    "fabric": Entry("policies.fabric:fabric", "an attractor with repulsive obstacles", "FabricOptions"),
+    "mppi": Entry(
         "policies.path_integral:path_integral",
         "model-predictive path integral control, with a model of its own",
         "PathIntegralOptions",
     ),
-    "tracker": PolicyEntry("policies.planned:tracker", "plays a planned motion, without feedback"),
+    "tracker": Entry("policies.planned:tracker", "plays a planned motion, without feedback"),
 }
-#: All policies by name.
-POLICIES = Registry(
-    "policy", _POLICIES, make=PolicyEntry, wanted="a function of a PolicyTask", group="lieednn_sim.policies"
-)
+#: All policies by name: functions of a `PolicyTask`, and of their options if there are any, that make a `Policy`. After a
+#: reset the policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is "moves", or
+#: "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
+POLICIES = Registry("policy", _POLICIES, make=Entry, wanted="a function of a PolicyTask", group="lieednn_sim.policies")
 
 _CONTROLLERS = {
     "position-servo": Entry(

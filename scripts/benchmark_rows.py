@@ -35,9 +35,8 @@ from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.policies import POLICIES, NetworkPolicy, ReplanningPolicy, make_policy
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.rendering.camera import Camera
 from lieednn_sim.rendering.overlay import Overlay, draw_lines
-from lieednn_sim.rendering.video import mp4_writer, render_video
+from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.reference import Reference

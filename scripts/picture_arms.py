@@ -13,7 +13,7 @@ from PIL import Image
 
 import lieednn_sim as ls
 from lieednn_sim import io
-from lieednn_sim.rendering.camera import Camera
+from lieednn_sim.rendering.video import Camera
 
 SIZE = (640, 440)
 ALONE = ("telescopic_pr", "telescopic_rrp", "telescopic_compound")

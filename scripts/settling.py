@@ -33,9 +33,9 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.figure_layout import drawn
 from lieednn_sim.evaluation.load import LoadMetrics, load_metrics
-from lieednn_sim.planning.retiming import TimedCurve
 from lieednn_sim.planning.settling import METHODS, SettlingOptions, settled
 from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.time_laws import TimedCurve
 
 LAWS = ("none", *METHODS[1:], METHODS[0])
 FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lieednn_sim as ls
-from lieednn_sim.rendering.camera import Camera
+from lieednn_sim.rendering.video import Camera
 
 BLUE, ORANGE, GREEN, RED, GREY = "#1f6fb4", "#d9730d", "#2a8f5b", "#c0392b", "#6b7280"
 # Made for a phone: on a page 390 pixels wide, letters of 9 points are 9 pixels high.

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
-from lieednn_sim.arm.dependents import Dependents
+from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.followers import independent_joints
 from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos

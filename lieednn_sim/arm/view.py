@@ -13,9 +13,8 @@ from lieednn_sim.arm.checks import FREE, ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.dependents import Dependents
+from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import dof_addresses, names
-from lieednn_sim.arm.followers import independent_joints
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, find_frame, joint_groups, named_frames
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges

@@ -50,9 +50,6 @@ class Equilibrium:
     residual: float
     spectral_abscissa: float
 
-    def __repr__(self) -> str:
-        return f"<Equilibrium: {self.message}, residual {self.residual:.3g}, abscissa {self.spectral_abscissa:.3g}>"
-
 
 @frozen
 class Trajectory:

@@ -23,7 +23,6 @@ from lieednn_sim.planning.planners import plan as plan
 from lieednn_sim.planning.planners import register_planner as register_planner
 from lieednn_sim.planning.problem import Plan as Plan
 from lieednn_sim.planning.problem import PlanningProblem as PlanningProblem
-from lieednn_sim.planning.retiming import retime as retime
 from lieednn_sim.planning.sequence import PlanSequence as PlanSequence
 from lieednn_sim.planning.sequence import SequencePart as SequencePart
 from lieednn_sim.planning.sequence import plan_sequence as plan_sequence
@@ -32,6 +31,7 @@ from lieednn_sim.planning.settling import settled as settled
 from lieednn_sim.planning.shaped import ShapedOptions as ShapedOptions
 from lieednn_sim.planning.steps import Actuate as Actuate
 from lieednn_sim.planning.steps import Move as Move
+from lieednn_sim.planning.time_laws import retime as retime
 from lieednn_sim.planning.tube import Tube as Tube
 from lieednn_sim.planning.tube import find_tube as find_tube
 from lieednn_sim.registry import PLANNERS as PLANNERS

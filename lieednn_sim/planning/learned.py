@@ -23,10 +23,9 @@ from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
-from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.shaped import ShapedOptions, followed_guide
 from lieednn_sim.planning.statics import check_held
-from lieednn_sim.planning.time_laws import recorded_law
+from lieednn_sim.planning.time_laws import recorded_law, retime
 from lieednn_sim.validation import Seed, as_floats, as_seed
 from lieednn_sim.values import Floats
 

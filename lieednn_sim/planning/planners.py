@@ -21,9 +21,9 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
-from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.settling import SettlingOptions, settled
 from lieednn_sim.planning.statics import check_held
+from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.registry import PLANNERS, optional_module
 from lieednn_sim.validation import Seed, as_seed
 

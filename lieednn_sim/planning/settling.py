@@ -24,8 +24,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.load_clearance import check_load
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.retiming import TimedCurve
 from lieednn_sim.planning.swing_model import SwingModel, longest_step
+from lieednn_sim.planning.time_laws import TimedCurve
 from lieednn_sim.values import Floats
 
 METHODS = ("least-energy", "zv", "zvd", "ei")

@@ -24,8 +24,7 @@ from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
-from lieednn_sim.planning.retiming import retime
-from lieednn_sim.planning.time_laws import law_of
+from lieednn_sim.planning.time_laws import law_of, retime
 from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen

@@ -60,9 +60,6 @@ class Following:
         jumped = (speed > self.rollout.arm.jump_speeds).any(axis=1)
         return tuple(self.rollout.t[:: self.period][1:][jumped].tolist())
 
-    def __repr__(self) -> str:
-        return f"<Following: {self.rollout!r}, {len(self.jumps)} jumps of the target>"
-
 
 def follow(
     policy: Policy,

@@ -31,7 +31,7 @@ from lieednn_sim.simulation.tracking import (
     make_controlled,
     simulate,
 )
-from lieednn_sim.validation import as_count, as_positive, as_workers
+from lieednn_sim.validation import as_count, as_workers
 from lieednn_sim.values import Floats, frozen
 
 
@@ -80,7 +80,6 @@ def simulate_many(
     *,
     controller: str = "position-servo",
     hold: float = 1.0,
-    reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     threads: int | None = None,
 ) -> Rollouts:
@@ -91,7 +90,6 @@ def simulate_many(
         motions: plans, or motions sampled at the model's time step.
         controller: name of a controller whose controls follow from the reference alone.
         hold: time simulated after the end of the longest motion [s]; the others are held longer.
-        reference_rate: as for `simulate`.
         disturbances: disturbances of each rollout.
         threads: number of threads; by default, the number of processors.
 
@@ -104,16 +102,15 @@ def simulate_many(
     if not (chosen := [as_motion(arm, motion) for motion in motions]):
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
-    rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     changes = before((total - 1) * arm.timestep, arm.timestep, disturbances)
-    settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
+    settings = {"controller": controller, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}
     workers = min(as_workers("threads", os.cpu_count() or 1 if threads is None else threads), len(chosen))
 
     def work(first: int) -> None:
         """Simulate every so many motions with one controller and plant, since making these takes a tenth of a run."""
-        reference = as_reference(arm, chosen[first], total, rate)
+        reference = as_reference(arm, chosen[first], total, None)
         driver, simulation = make_controlled(arm, controller, reference, changes)
         for index in range(first, len(chosen), workers):
             reference.forget(reference.known)

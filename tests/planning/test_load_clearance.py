@@ -12,8 +12,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.retiming import TimedCurve
 from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.time_laws import TimedCurve
 
 JOINTS = task_cases.Crane.joints
 

@@ -10,9 +10,9 @@ import lieednn_sim as ls
 from lieednn_sim.arm.oscillation import Mode, PassiveJoints, with_load
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.planning import SettlingOptions, settled
-from lieednn_sim.planning.retiming import TimedCurve
 from lieednn_sim.planning.settling import shaper
 from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.time_laws import TimedCurve
 
 OMEGA = np.sqrt(9.81 / gantries.LENGTH)
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
+from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.followers import tied_joints
 from lieednn_sim.arm.forces import actuator_moments, affine_actuators, disabled_actuators, required_forces
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.errors import InputError

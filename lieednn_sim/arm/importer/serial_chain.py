@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import FREE, ancestry, joints_of
 from lieednn_sim.arm.compound_joints import coefficients, driven_directly, driven_tendons
+from lieednn_sim.arm.dependents import freely_moving, tied_joints
 from lieednn_sim.arm.equalities import involved_joints, loop_closures
-from lieednn_sim.arm.followers import freely_moving, tied_joints
 from lieednn_sim.arm.frames import Frame, body_frame, chain_joints, find_frame, joint_groups, listed
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError

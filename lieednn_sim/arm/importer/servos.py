@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import dof_addresses
-from lieednn_sim.arm.followers import tied_joints
 from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains
 from lieednn_sim.arm.frames import chain_joints
 from lieednn_sim.arm.importer.loading import compile_spec, unused

@@ -24,8 +24,7 @@ from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint
 from lieednn_sim.planning.motion import Motion, joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
-from lieednn_sim.planning.retiming import retime
-from lieednn_sim.planning.time_laws import minimum_jerk_law
+from lieednn_sim.planning.time_laws import minimum_jerk_law, retime
 from lieednn_sim.values import Floats
 
 Blocked = dict[int | None, str]

@@ -64,7 +64,9 @@ def write_summary(path: StrPath, table: Table[Row], missing: Mapping[str, str] |
 def method(table: Table[Row]) -> str:
     """The method and the meaning of the numbers, for the head of a report."""
     settings = settings_of(table)
-    scale = settings.mass_scale
+    scale, counts = settings.mass_scale, seeds_by_planner(table.rows.values())
+    most = max(counts.values(), default=0)
+    fewer = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()) if count < most)
     masses = "" if scale == 1.0 else f" with {scale:g} times the masses the controllers know"
     return (
         f"Motions lead from home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
@@ -76,17 +78,9 @@ def method(table: Table[Row]) -> str:
         "network have one, since nothing is proved about how the rest would go on. Medians are over the seeds "
         "with a value, so a planner that fails on hard targets is judged by easy ones. A planner that has spent "
         f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers except the planning time are "
-        f"reproducible.{_seeds(table)}"
+        "reproducible."
+        + (f" Planners have {most} seeds, but {fewer}: rows with fewer seeds say less." if fewer else "")
     )
-
-
-def _seeds(table: Table[Row]) -> str:
-    """A sentence on the planners that have fewer seeds than others, if any."""
-    counts = seeds_by_planner(table.rows.values())
-    fewer = [f"{name} {count}" for name, count in sorted(counts.items()) if count < max(counts.values())]
-    if not fewer:
-        return ""
-    return f" Planners have {max(counts.values())} seeds, but {', '.join(fewer)}: rows with fewer seeds say less."
 
 
 def _medians(group: Group[Row], columns: Sequence[Column]) -> list[str]:
