@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -151,7 +150,11 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    latest = (total - 1) * arm.timestep + (0.0 if sequence is None else sequence.longest_delay)
+    steps = [] if sequence is None else [part.step for part in sequence.parts]
+    # Events may come later than planned, at most by all of their time.
+    latest = (total - 1) * arm.timestep + sum(
+        step.seconds for step in steps if not isinstance(step, Move) and step.until
+    )
     changes = before(latest, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
@@ -167,7 +170,8 @@ def simulate(
             raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
         monitor = ClearanceMonitor.of(arm, motion)
     play = None if sequence is None else _Play(sequence, simulation, rest)
-    record = Log(simulation, driver, *log, *([] if play is None else play.slips()))
+    holds = any(isinstance(step, Move) and step.holding for step in steps)
+    record = Log(simulation, driver, *log, *([Channel(SLIP, "m", play.slip)] if holds and play else []))
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
@@ -216,15 +220,9 @@ class _Play:
         self.end = float(sequence.t[-1])
         self._held, self._place = "", np.zeros(3)
 
-    def slips(self) -> list[Channel]:
-        """How far each body that moves hold is from where they had it in the hand at their beginnings."""
-        steps = [part.step for part in self._sequence.parts]
-        held = dict.fromkeys(step.holding for step in steps if isinstance(step, Move) and step.holding)
-
-        def slip(body: str, data: mujoco.MjData) -> float:
-            return float(np.linalg.norm(self._in_hand(data) - self._place)) if body == self._held else 0.0
-
-        return [Channel(f"{SLIP}{body}", "m", partial(slip, body)) for body in held]
+    def slip(self, data: mujoco.MjData) -> float:
+        """How far what a move holds is from where the hand had it when the move began [m]."""
+        return float(np.linalg.norm(self._in_hand(data) - self._place)) if self._held else 0.0
 
     def _in_hand(self, data: mujoco.MjData) -> Floats:
         """Where the held body is in the frame of the body that carries it ``(3,)`` [m]."""
