@@ -20,7 +20,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Move, Plan, PlanSequence
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import Motion, steps_of_rate
-from lieednn_sim.planning.steps import Gripping
+from lieednn_sim.planning.steps import Actuate, Gripping
 from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
@@ -152,10 +152,8 @@ def simulate(
     total, end = len(motion.t) + rest, float(motion.t[-1])
     steps = [] if sequence is None else [part.step for part in sequence.parts]
     # Events may come later than planned, at most by all of their time.
-    latest = (total - 1) * arm.timestep + sum(
-        step.seconds for step in steps if not isinstance(step, Move) and step.until
-    )
-    changes = before(latest, arm.timestep, disturbances)
+    late = sum(step.seconds for step in steps if isinstance(step, Actuate) and step.until)
+    changes = before((total - 1) * arm.timestep + late, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None
@@ -194,8 +192,8 @@ def simulate(
         raise
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
-        if late := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
-            warnings.warn(late, stacklevel=3)  # through the check of arguments
+        if said := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
+            warnings.warn(said, stacklevel=3)  # through the check of arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
