@@ -121,8 +121,8 @@ _POLICIES = {
     ),
     "tracker": Entry("policies.planned:tracker", "plays a planned motion, without feedback"),
 }
-#: All policies by name: functions of a `PolicyTask`, and of their options if there are any, that make a `Policy`. After a
-#: reset the policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is "moves", or
+#: All policies by name: functions of a `PolicyTask`, and of their options if there are any, that make a `Policy`. After
+#: a reset a policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is "moves", or
 #: "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
 POLICIES = Registry("policy", _POLICIES, make=Entry, wanted="a function of a PolicyTask", group="lieednn_sim.policies")
 

@@ -46,6 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     reader of the output closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as by a service or `>&-`; the next file would take its place
+            setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))  # noqa: SIM115, PTH123
     # Paths and messages may hold characters that the output's encoding lacks.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")

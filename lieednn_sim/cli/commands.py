@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -82,7 +83,8 @@ def demo(
                     _render(run, path, look)
             except failure as error:
                 console.print(f"no {what}: {error}")
-    console.print(f"done in {time.perf_counter() - start:.1f} s; metrics: lieednn-sim evaluate {output}")
+    shown = shlex.quote(str(output))
+    console.print(f"done in {time.perf_counter() - start:.1f} s; metrics: lieednn-sim evaluate {shown}")
 
 
 def simulate(run: Directory, *, simulating: Simulating) -> None:

@@ -7,6 +7,7 @@ was made for it, and a rollout the motion that it followed, so that files of dif
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -168,7 +169,8 @@ class RunDirectory:
     def load_rollout(self, task: Task, arm: Arm) -> Rollout:
         """The rollout with its motion, which must belong together and to the task."""
         if not io.is_file(self.rollout):
-            raise FileError(f"no such file: {self.rollout}; make it with 'lieednn-sim simulate {self.path}'")
+            how = shlex.join(["lieednn-sim", "simulate", str(self.path)])
+            raise FileError(f"no such file: {self.rollout}; make it with: {how}")
         return Rollout.load(self.rollout, arm, self.load_motion(task))
 
     def save_network(

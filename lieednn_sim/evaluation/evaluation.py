@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass, field, fields
 
 import numpy as np
@@ -129,7 +128,7 @@ class Evaluation:
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
         sequence: whether the run is that of a sequence; its contacts are shown, but are no failure: grasps are such.
-        slips_mm: the most that each body held by a sequence has moved in the hand, by the names of the bodies.
+        slip_mm: largest displacement in the hand of a body held by a sequence.
         load: what the motion left swinging and bending; None for an arm without such parts.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
@@ -165,7 +164,7 @@ class Evaluation:
     proved: bool = False
     load: LoadMetrics | None = None
     sequence: bool = False
-    slips_mm: Mapping[str, float] = field(default_factory=dict)
+    slip_mm: float = 0.0
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -211,9 +210,8 @@ class Evaluation:
         """Why the run failed, or "": contact outside of sequences, a body that was lost, or a link off its target."""
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
-        for body, slip in self.slips_mm.items():
-            if slip > LOST:
-                return f"hold: {body!r} moves by {slip:.3g} mm in the hand that should hold it"
+        if self.slip_mm > LOST:
+            return f"hold: what the hand should hold moves by {self.slip_mm:.3g} mm in it"
         for frame in self.frames:
             if not frame.arrived:
                 return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
@@ -224,10 +222,8 @@ class Evaluation:
         """Whether the arm ended at its target and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
         touched = f"{self.contacts} contacts at a time, " if self.contacts else ""
-        if self.shortfall.startswith("hold"):
-            return f"fails: {self.shortfall}"
-        if self.shortfall:
-            return f"fails: {touched}a link ends {off}"
+        if why := self.shortfall:
+            return f"fails: {why if why.startswith('hold') else f'{touched}a link ends {off}'}"
         return f"arrives after {_seconds(self.settling_s)} s, {touched}ends {off}"
 
     @property
@@ -249,8 +245,8 @@ class Evaluation:
             extremes.append(f"forces up to {planned:.0%} of a limit as planned, {self.force_fraction:.0%} exerted")
         if extremes:
             lines.append("; ".join(extremes))
-        if slips := [f"{body!r} by {rounded(slip)} mm" for body, slip in self.slips_mm.items()]:
-            lines.append(f"moves in the hand: {', '.join(slips)}")
+        if self.slip_mm:
+            lines.append(f"what the hand holds moves by up to {rounded(self.slip_mm)} mm in it")
         if self.load:
             lines.append(f"after the motion: {self.load}")
         if self.causes:

@@ -75,9 +75,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
         sequence=bool(rollout.steps),
-        slips_mm={
-            name.removeprefix(SLIP): 1e3 * float(far.max()) for name, far in rollout.channels.items() if SLIP in name
-        },
+        slip_mm=1e3 * float(rollout.channels.get(SLIP, np.zeros(1)).max()),
         peak_contact_force_n=float(rollout.contact_force.max()),
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),

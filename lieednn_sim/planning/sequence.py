@@ -68,13 +68,6 @@ class PlanSequence:
     parts: tuple[SequencePart, ...]
     arm: Arm
 
-    @property
-    def longest_delay(self) -> float:
-        """How much later than planned it ends if every event comes as late as possible [s]."""
-        waits = [(part.step, self.t[part.last] - self.t[part.first]) for part in self.parts]
-        some = [step.seconds - float(taken) for step, taken in waits if isinstance(step, Actuate) and step.until]
-        return sum(max(more, 0.0) for more in some)
-
     def __repr__(self) -> str:
         return f"<PlanSequence: {len(self.parts)} steps in {self.t[-1]:g} s, {self.arm.n_joints} joints>"
 

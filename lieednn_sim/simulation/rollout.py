@@ -27,7 +27,7 @@ _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _OTHERS = ("qpos", "ctrl", "link_position", "link_quaternion", "contacts", "contact_force", "target")
 _ARRAYS = ("t", *_PER_COORDINATE, *_OTHERS)
 _CHANNEL = "channel "  # before the names of channels in a file
-SLIP = "slip of "  # prefix of the names of channels, each of a body that a sequence holds
+SLIP = "slip in the hand"  # the channel of what a sequence holds
 
 
 @frozen
@@ -51,7 +51,7 @@ class Rollout:
             does not move with it, fingers around a free body included.
         contact_force: ``(K,)`` largest normal force among the contacts [N].
         channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as those of `MocapWelds` and
-            `Pushes`; ``slip of BODY`` is how far a body held by a sequence has moved in the hand.
+            `Pushes`; ``slip in the hand`` is how far the body held by a sequence has moved in the hand [m].
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
         qpos: ``(K, nq)`` positions in the order of the arm's model.

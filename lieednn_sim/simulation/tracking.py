@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -21,7 +20,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Move, Plan, PlanSequence
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import Motion, steps_of_rate
-from lieednn_sim.planning.steps import Gripping
+from lieednn_sim.planning.steps import Actuate, Gripping
 from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
@@ -150,8 +149,10 @@ def simulate(
         motion = as_motion(arm, motion)
         reference = as_reference(arm, motion, len(motion.t) + rest, rate)
     total, end = len(motion.t) + rest, float(motion.t[-1])
-    latest = (total - 1) * arm.timestep + (0.0 if sequence is None else sequence.longest_delay)
-    changes = before(latest, arm.timestep, disturbances)
+    steps = [] if sequence is None else [part.step for part in sequence.parts]
+    # Events may come later than planned, at most by all of their time.
+    late = sum(step.seconds for step in steps if isinstance(step, Actuate) and step.until)
+    changes = before((total - 1) * arm.timestep + late, arm.timestep, disturbances)
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
     meta["motion"] = motion if isinstance(motion, Motion) else None
@@ -166,7 +167,8 @@ def simulate(
             raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
         monitor = ClearanceMonitor.of(arm, motion)
     play = None if sequence is None else _Play(sequence, simulation, rest)
-    record = Log(simulation, driver, *log, *([] if play is None else play.slips()))
+    holds = any(isinstance(step, Move) and step.holding for step in steps)
+    record = Log(simulation, driver, *log, *([Channel(SLIP, "m", play.slip)] if holds and play else []))
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
@@ -189,8 +191,8 @@ def simulate(
         raise
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
-        if late := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
-            warnings.warn(late, stacklevel=3)  # past the wrapper that checks arguments
+        if said := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
+            warnings.warn(said, stacklevel=3)  # past the wrapper that checks arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
@@ -215,15 +217,9 @@ class _Play:
         self.end = float(sequence.t[-1])
         self._held, self._place = "", np.zeros(3)
 
-    def slips(self) -> list[Channel]:
-        """For each body that moves hold, a channel of its displacement in the hand since the beginning of the move."""
-        steps = [part.step for part in self._sequence.parts]
-        held = dict.fromkeys(step.holding for step in steps if isinstance(step, Move) and step.holding)
-
-        def slip(body: str, data: mujoco.MjData) -> float:
-            return float(np.linalg.norm(self._in_hand(data) - self._place)) if body == self._held else 0.0
-
-        return [Channel(f"{SLIP}{body}", "m", partial(slip, body)) for body in held]
+    def slip(self, data: mujoco.MjData) -> float:
+        """Displacement of the held body in the hand since the beginning of the move [m]; 0 without one."""
+        return float(np.linalg.norm(self._in_hand(data) - self._place)) if self._held else 0.0
 
     def _in_hand(self, data: mujoco.MjData) -> Floats:
         """Position ``(3,)`` of the held body in the frame of the body that carries it [m]."""

@@ -5,8 +5,10 @@ import io
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -250,6 +252,15 @@ def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffer
     process = start("-c", MAIN, "--version", stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
     os.close(writer)
     assert (process.stderr.read(), process.wait()) == ("", 141)
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_without_standard_streams_a_command_does_its_work(tmp_path, closed):
+    for words, code in ((f"plan --output {tmp_path}/run", 0), ("plan --arm nobodys", 2)):
+        command = f"exec {shlex.quote(sys.executable)} -m lieednn_sim {words} {closed}"
+        done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+        assert (done.returncode, "Traceback" in done.stderr) == (code, False)
+    assert (tmp_path / "run" / "motion.npz").is_file()
 
 
 @pytest.mark.usefixtures("no_plots")

@@ -102,7 +102,7 @@ def test_the_command_exports_runs(tmp_path, monkeypatch, capsys):
     words = ["plan", "--planner", "minimum-jerk", "--target", "extended", "--duration", "1.2", "--output", "reach"]
     assert main(words) == 0
     assert main(["export", "reach", "--format", "csv"]) == 2
-    assert "make it with 'lieednn-sim simulate reach'" in capsys.readouterr().err
+    assert "make it with: lieednn-sim simulate reach" in capsys.readouterr().err
     assert main(["simulate", "reach", "--hold", "0"]) == 0
     assert main(["export", "reach", "--format", "csv", "--rate", "100", "--output", "out"]) == 0
     assert "wrote out/reach.csv" in capsys.readouterr().out

@@ -15,7 +15,7 @@ def test_weights_by_hand():
 
 @pytest.mark.parametrize("limited", [False, True])
 def test_rollouts_go_where_velocities_lead_and_see_what_is_near(gantry, limited):
-    """Also with limits of force, as every URDF's efforts are, which do not count in the policy's own model."""
+    """Limits of force, as the efforts of a URDF, do not count in the policy's own model."""
     if limited:
         spec = gantry.copied_spec()
         for joint in spec.joints:
