@@ -216,25 +216,25 @@ class _Play:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest
         self.begun: list[tuple[float, str]] = []
         self.end = float(sequence.t[-1])
-        self._held, self._place = "", np.zeros(3)
+        self._held: str | None = None
+        self._place: Floats | None = None
 
     def slip(self, data: mujoco.MjData) -> float:
         """How far what a move holds is from where the hand had it when the move began [m]."""
-        return float(np.linalg.norm(self._in_hand(data) - self._place)) if self._held else 0.0
-
-    def _in_hand(self, data: mujoco.MjData) -> Floats:
-        """Where the held body is in the frame of the body that carries it ``(3,)`` [m]."""
+        if not self._held:
+            return 0.0
         hand = int(self._sequence.arm.frames.bodies[-1])
-        return np.asarray((data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3))
+        place = (data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3)
+        self._place = place if self._place is None else self._place
+        return float(np.linalg.norm(place - self._place))
 
     def rows(self) -> Iterator[int]:
         """The row of the sequence to track in each step; whoever asks for the next one has done the step."""
         sequence, simulation = self._sequence, self._simulation
         for number, part in enumerate(sequence.parts):
             self.begun.append((simulation.time, part.step.name))
-            self._held = part.step.holding or "" if isinstance(part.step, Move) else ""
+            self._held, self._place = getattr(part.step, "holding", None), None
             if isinstance(part.step, Move):
-                self._place = self._in_hand(simulation.data) if self._held else self._place
                 yield from range(part.first, part.last)
                 continue
             gripping, done = Gripping(sequence.arm, simulation.model, part.step), 0
