@@ -159,12 +159,15 @@ class ModelArm(SerialArm):
         """Offsets of pairs of geoms that are not the model's own, see `contacts.ContactOffsets`."""
         return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
 
-    @cached_property
+    @property
     def unsupported(self) -> Self:
         """This arm for what is said of distances: a held body has none from what it may touch, as what it stands on."""
-        if self.grasp is None:
-            return self
-        return replace(self, grasp=replace(self.grasp, offsets=dict.fromkeys(self.grasp.offsets, -np.inf)))
+        return self if self.grasp is None else self._unsupported
+
+    @cached_property
+    def _unsupported(self) -> Self:
+        offsets = {} if self.grasp is None else dict.fromkeys(self.grasp.offsets, -np.inf)
+        return replace(self, grasp=self.grasp and replace(self.grasp, offsets=offsets))
 
     @cached_property
     def _groups(self) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
