@@ -159,11 +159,14 @@ class ModelArm(SerialArm):
         """Contact offsets of pairs of geoms that differ from the model's own, see `contacts.ContactOffsets`."""
         return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
 
-    @cached_property
+    @property
     def unsupported(self) -> Self:
         """This arm, to measure distances without those of a held body from what it may touch, such as its support."""
-        if self.grasp is None:
-            return self
+        return self if self.grasp is None else self._unsupported
+
+    @cached_property
+    def _unsupported(self) -> Self:
+        assert self.grasp is not None
         return replace(self, grasp=replace(self.grasp, offsets=dict.fromkeys(self.grasp.offsets, -np.inf)))
 
     @cached_property

@@ -17,8 +17,8 @@ from lieednn_sim.versions import versions
 
 # A frame has settled if it stays this close to its target [m, rad].
 SETTLED_TRANSLATION = 1e-3
-LOST = 50.0  # a body that moves by more in the hand is lost [mm]
 SETTLED_ROTATION = float(np.deg2rad(0.1))
+_LOST = 50.0  # a body that moves by more in the hand is lost [mm]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Evaluation:
         """Why the run failed, or "": contact outside of sequences, a body that was lost, or a link off its target."""
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
-        if self.slip_mm > LOST:
+        if self.slip_mm > _LOST:
             return f"hold: what the hand should hold moves by {self.slip_mm:.3g} mm in it"
         for frame in self.frames:
             if not frame.arrived:

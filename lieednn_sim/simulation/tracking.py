@@ -215,25 +215,25 @@ class _Play:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest
         self.begun: list[tuple[float, str]] = []
         self.end = float(sequence.t[-1])
-        self._held, self._place = "", np.zeros(3)
+        self._held: str | None = None
+        self._place: Floats | None = None
 
     def slip(self, data: mujoco.MjData) -> float:
         """Displacement of the held body in the hand since the beginning of the move [m]; 0 without one."""
-        return float(np.linalg.norm(self._in_hand(data) - self._place)) if self._held else 0.0
-
-    def _in_hand(self, data: mujoco.MjData) -> Floats:
-        """Position ``(3,)`` of the held body in the frame of the body that carries it [m]."""
+        if not self._held:
+            return 0.0
         hand = int(self._sequence.arm.frames.bodies[-1])
-        return np.asarray((data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3))
+        place = (data.body(self._held).xpos - data.xpos[hand]) @ data.xmat[hand].reshape(3, 3)
+        self._place = place if self._place is None else self._place
+        return float(np.linalg.norm(place - self._place))
 
     def rows(self) -> Iterator[int]:
         """The row of the sequence to track in each step; the caller does the step before it asks for the next row."""
         sequence, simulation = self._sequence, self._simulation
         for number, part in enumerate(sequence.parts):
             self.begun.append((simulation.time, part.step.name))
-            self._held = part.step.holding or "" if isinstance(part.step, Move) else ""
+            self._held, self._place = getattr(part.step, "holding", None), None
             if isinstance(part.step, Move):
-                self._place = self._in_hand(simulation.data) if self._held else self._place
                 yield from range(part.first, part.last)
                 continue
             gripping, done = Gripping(sequence.arm, simulation.model, part.step), 0

@@ -189,6 +189,15 @@ def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
     planned_in(changed, state, goal, **how)
 
 
+def test_what_is_held_from_the_beginning_slips_from_where_it_is_then(grasped):
+    model, state = grasped
+    state.ctrl[model.actuator("gripper").id] = 0.0
+    found = sequence(model, state, [CARRY])
+    slip = ls.simulate(found.arm, found, hold=0.1).channels["slip in the hand"]
+    assert slip[0] == 0.0
+    assert slip[:100].max() < 1e-3
+
+
 def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasped):
     model, state = grasped
     how = {"duration": 1.5}
