@@ -1,4 +1,4 @@
-"""Benchmark: success and time of synthesis and learning, and costs of the package beside those of its engines.
+"""Benchmark: success and time of synthesis, and times of the package beside those of its engines.
 
     python scripts/benchmark.py [--quick] [--output results/benchmark]
 
@@ -81,10 +81,7 @@ def synthesis_rows(scale: int) -> list[dict[str, object]]:
 
 
 def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
-    """Median CPU times [ms] of syntheses, and of shaping along 100 samples of a curve, by the number of neurons.
-
-    Last comes the exponent between the two largest sizes.
-    """
+    """Median CPU times [ms] of synthesis and of shaping 100 samples, by size; last the exponent of the largest two."""
     repeats = max(7 // scale, 1)
     options = ShapingOptions(neurons=(4,))
     s = np.linspace(0.0, 1.0, 100)[:, None, None]
@@ -128,7 +125,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> None:
             ([name, *values] for name, values in grown.items()),
         ),
         "",
-        "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
+        "Ratios of times in this run, each measured several times. The aim is the least or largest value wanted.",
         *markdown_table(HEADINGS, (row.cells() for row in ratios)),
     ]
     write_lines(directory / "benchmark.md", lines)

@@ -1,4 +1,4 @@
-"""Rows of the benchmark: costs of the package beside those of its engines, each measured several times in one run."""
+"""Rows of the benchmark: times of the package beside those of its engines, each measured several times in one run."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ FRAME_SIZE, FRAMES = (640, 360), 60
 
 @dataclass(frozen=True)
 class Row:
-    """A figure measured several times, and what it should be at least or at most, if anything."""
+    """A figure measured several times, and the least or largest value wanted, if any."""
 
     what: str
     samples: Sequence[float] | np.ndarray
@@ -69,7 +69,7 @@ class Row:
 
 
 def seconds(work: Callable[[], object], clock: Callable[[], float] = time.process_time, times: int = 1) -> float:
-    """Time of a call, a mean of several [s]; processor time by default, which other load disturbs less."""
+    """Mean time of a call [s]; processor time by default, which other load disturbs less."""
     start = clock()
     for _ in range(times):
         work()
@@ -88,7 +88,7 @@ def ratios(
 
 
 def retarget_row(targets: list[np.ndarray]) -> Row:
-    """Time of a synthesis, in that of retargeting its network."""
+    """Time of a synthesis, divided by that of retargeting its network."""
     ratios = []
     for seed, xi in enumerate(targets):
         synthesis = synthesize(xi, seed=seed)
@@ -97,16 +97,13 @@ def retarget_row(targets: list[np.ndarray]) -> Row:
 
 
 def real_time_row(arm: Arm, motion: Motion, repeats: int) -> Row:
-    """Times that are simulated, in those that it takes."""
+    """Simulated time, divided by the time that the simulation takes."""
     simulated = [simulate(arm, motion).t[-1] / seconds(partial(simulate, arm, motion)) for _ in range(repeats)]
     return Row("real time, in simulations of it", simulated)
 
 
 def control_step_row(arm: Arm) -> Row:
-    """Time of a control step of `follow` with feedback and 12 neurons.
-
-    Over a run with its simulation, which empties the processor's caches between steps.
-    """
+    """Time of a control step of `follow`, in a run whose simulation empties the processor's caches between steps."""
     target = draw_target(arm, 0)
     guide = plan(arm, target, planner="minimum-jerk").motion
     network = shape(guide.xi[::2], options=ShapingOptions(neurons=(8,))).network
@@ -124,7 +121,7 @@ def policy_rows(arm: Arm) -> Iterator[Row]:
 
 
 def change_row(arm: Arm, count: int) -> Row:
-    """Time of the periods in which the policy ``lieednn-replanning`` gets another target, on its way to the last."""
+    """Time of a control step in which the policy ``lieednn-replanning`` gets another target on its way."""
     policy, times = ReplanningPolicy(arm), []
     policy.reset("home")
     for seed in range(count):
@@ -136,7 +133,7 @@ def change_row(arm: Arm, count: int) -> Row:
 
 
 def product_row(network: LieEDNN, repeats: int) -> Row:
-    """Time to retarget, in that of a product W phi(x)."""
+    """Time to retarget, divided by that of a product W phi(x)."""
     xi, weight = 0.5 * network.visible(network.equilibrium().xi), network.weight
     product = lambda: weight @ network.phi(xi).ravel()  # noqa: E731
     samples = ratios(partial(network.retarget, xi), product, repeats, times=500)
@@ -144,7 +141,7 @@ def product_row(network: LieEDNN, repeats: int) -> Row:
 
 
 def start_rows(repeats: int) -> Iterator[Row]:
-    """Start-up times in those of the libraries that they need; processor times of a fresh Python."""
+    """Start-up times, divided by those of the libraries needed; processor times of a fresh Python."""
 
     def children() -> float:
         return sum(os.times()[2:4])
@@ -171,7 +168,7 @@ def floor(arm: Arm, controller: str, followed: Rollout) -> Simulation:
 
 
 def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> Iterator[Row]:
-    """Steps/s of rollouts with their log, in those of bare ones of the same arm."""
+    """Steps/s of rollouts with their log, divided by those of bare rollouts of the same arm."""
 
     def step_by_step(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
         for _ in range(steps):
@@ -195,7 +192,7 @@ def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> Iterator[Row]:
 
 
 def many_row(arm: Arm, count: int, repeats: int) -> Row:
-    """Steps/s of many rollouts at once, in those of `mujoco.rollout` with as many threads."""
+    """Steps/s of many rollouts at once, divided by those of `mujoco.rollout` with as many threads."""
     motions = [plan(arm, draw_target(arm, k), planner="minimum-jerk").motion for k in range(count)]
     threads = os.cpu_count() or 1
     ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
@@ -210,7 +207,7 @@ def many_row(arm: Arm, count: int, repeats: int) -> Row:
 
 
 def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
-    """Time that environments add to bare substeps, in both interfaces."""
+    """Time that the environments of both interfaces add to bare substeps."""
     own = Environment(arm=arm)
     model, substeps, cases = arm.model, own.task.substeps, dict[str, Any](Gymnasium=own)
     # dm_control does not support MuJoCo 4.
@@ -230,7 +227,7 @@ def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
 
 
 def vector_row(arm: Arm, repeats: int, actions: int, count: int) -> Row:
-    """Steps/s of many environments at once, in those of Gymnasium's processes."""
+    """Steps/s of many environments at once, divided by those of Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
     some = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints))
     own.reset(seed=0)
@@ -251,7 +248,7 @@ _ALGEBRA: tuple[tuple[Any, tuple[str, ...]], ...] = (
 
 @contextlib.contextmanager
 def timed_algebra() -> Iterator[list[float]]:
-    """List of the times of all linear algebra in the block [s]; what NumPy calls within it does not count again."""
+    """The times of all calls of linear algebra in the block [s]; calls within these do not count again."""
     times: list[float] = []
 
     def timed(function: Callable[..., Any], *given: Any, **named: Any) -> Any:
@@ -269,7 +266,7 @@ def timed_algebra() -> Iterator[list[float]]:
 
 
 def synthesis_rows(targets: list[np.ndarray], arms: list[Arm], count: int, repeats: int) -> Iterator[Row]:
-    """Time of a synthesis in that of its linear algebra, and the speed-up of syntheses at once over one by one."""
+    """Time of a synthesis over that of its linear algebra, and the speed-up of syntheses at once over one by one."""
     shares = []
     for seed, xi in enumerate(targets):
         with timed_algebra() as times:
@@ -296,7 +293,7 @@ def synthesis_rows(targets: list[np.ndarray], arms: list[Arm], count: int, repea
 
 
 def check_row(arm: Arm, seed: int, repeats: int) -> Row:
-    """Time of the checks of a motion, a proof among them, in that of contact tests at all its samples."""
+    """Time of the checks of a motion with its proof, divided by that of contact tests at all its samples."""
     motion = plan(arm, draw_target(arm, seed), planner="lieednn-shaped", seed=seed).motion
 
     def samples() -> None:
@@ -307,7 +304,7 @@ def check_row(arm: Arm, seed: int, repeats: int) -> Row:
 
 
 def rival_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
-    """Time of plans of ``lieednn-certified`` in free space, in RRT-Connect's median; no row without OMPL."""
+    """Time of plans of ``lieednn-certified`` in free space, over RRT-Connect's median; no row without OMPL."""
     if "rrt-connect" in PLANNERS.missing():
         return
     times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
@@ -322,16 +319,14 @@ def rival_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
 
 
 def inverse_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
-    """Time of inverse kinematics from home, contact test included, in the median of mink with daqp; none without mink.
-
-    mink with little damping, with which it converges in the fewest steps.
-    """
+    """Time of inverse kinematics with contact test, from home, over the median of mink with daqp; none without mink."""
     if importlib.util.find_spec("mink") is None:
         return
     mink = importlib.import_module("mink")
 
     def rival(arm: Arm) -> Callable[[RigidTransform], None]:
         configuration, home = mink.Configuration(arm.model), arm.qpos(arm.keyframe("home"))
+        # With this little damping mink takes the fewest steps.
         task = mink.FrameTask(arm.frames.names[-1], "site", 1.0, 1.0, lm_damping=1e-3)
         limits = [mink.ConfigurationLimit(arm.model)]
 
@@ -357,11 +352,7 @@ def inverse_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
 
 
 def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
-    """Frames per second of wall time of a video, in those of rendering all pictures first and then encoding them.
-
-    A first run warms OpenGL up, and the two take turns to begin, since the first one may take a tenth longer. No row
-    without OpenGL.
-    """
+    """Frames per second of a video, over those of rendering all pictures before encoding; no row without OpenGL."""
     fps, samples = round(FRAMES / float(run.t[-1])), []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
@@ -371,6 +362,7 @@ def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
         except RenderingUnavailableError:
             return
         bare = partial(render_then_encode, run, path, fps, frames)
+        # They take turns to begin, since the first one may take a tenth longer.
         for k in range(repeats):
             taken = {work: seconds(work, time.perf_counter) for work in ((ours, bare) if k % 2 else (bare, ours))}
             samples.append(taken[bare] / taken[ours])
@@ -378,7 +370,7 @@ def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
 
 
 def render_then_encode(run: Rollout, path: Path, fps: int, frames: int) -> None:
-    """The same video as `render_video`, one after the other."""
+    """Make the video of `render_video`, but render all pictures before encoding."""
     overlay = Overlay(run.arm.link_poses(run.q_ref).as_matrix(), run.link_position[:, -1], 1.0)
     with Camera(run.arm, size=FRAME_SIZE, preset="draft", run=run) as camera:
         shown = np.linspace(0, len(run.t) - 1, frames).astype(int).tolist()
@@ -420,7 +412,7 @@ int main(void)
 
 
 def code_rows(steps: int, neurons: int = 16) -> Iterator[Row]:
-    """Time of steps of a network in C, the longest one included; no row where there is no C compiler."""
+    """Time of steps of a network in C; no row without a C compiler."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
         return

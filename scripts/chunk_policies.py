@@ -1,4 +1,4 @@
-"""What gives chunks in the study of `chunks.py`, an expert or its clone, and what makes references of them."""
+"""The policies of the study `chunks.py`, an expert and its clone, and the references made of their chunks."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ EPISODES, EPOCHS = 800, {"reach": 300, "track": 30}  # that the clone sees
 
 
 class Reference:
-    """What an arm is told between chunks, in one of the ways of `REFERENCES`.
+    """The joint reference of an arm, made of chunks in one of the ways of `REFERENCES`.
 
-    ``raw`` is the newest chunk in its time, straight from target to target; others but the last one smooth this.
+    ``raw`` is the newest chunk with straight lines between its targets; all others but the last one smooth it.
     """
 
     def __init__(self, arm: ls.Arm, way: str) -> None:
@@ -75,24 +75,24 @@ class Reference:
 
 
 def reached(arm: ls.Arm, target: Floats, period: float, count: int) -> Floats:
-    """What the expert does from home to a target: ``(count, n)``, in each period."""
+    """The expert's motion from home to a target: joints ``(count, n)``, one row for each period."""
     expert = ls.make_policy("lieednn-certified", arm, target, rate=1.0 / period)
     return np.array([arm.keyframe("home"), *(expert.step(None, target)[0] for _ in range(count - 1))])
 
 
 def _root(arm: ls.Arm, way: Floats, times: Floats | float = DT) -> Floats:
-    """Ways ``(..., n)`` as parts of what joints can do in times, small ones enlarged, as actions of the tasks are."""
+    """Signed roots of joint differences ``(..., n)`` over the largest in given times, as the tasks' actions."""
     return np.sign(way) * np.sqrt(np.abs(way) / (np.asarray(times)[..., None] * arm.velocity_limits))
 
 
 def _seen(arm: ls.Arm, command: Floats, targets: Floats) -> Floats:
-    """What the clone sees, of commanded joints ``(K, n)`` and targets ``(K, P, n)`` of the next P times."""
+    """The clone's observations, of commanded joints ``(K, n)`` and targets ``(K, P, n)`` of the next P times."""
     ways = _root(arm, targets - command[:, None], DT * np.arange(1.0, targets.shape[1] + 1.0))
     return np.concatenate([command / arm.ranges, ways.reshape(len(command), -1)], axis=1)
 
 
 def _demonstrations(task: str, arm: ls.Arm) -> tuple[Floats, Floats]:
-    """What is seen, and the steps of the chunks that follow; half of them begin beside the way and come back to it."""
+    """Observations, and the steps of the chunks that follow; half of these begin off the path and come back to it."""
     count, pairs, back = round(6.0 / DT), [], np.exp(-DT * np.arange(H) / 0.3)[:, None]
     for episode in range(EPISODES):
         rng, total = np.random.default_rng(episode), count + H

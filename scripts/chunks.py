@@ -2,7 +2,7 @@
 # requires-python = ">=3.11,<3.14"
 # dependencies = ["lieednn_sim", "ruckig>=0.19,<1", "torch>=2.10,<3"]
 # ///
-"""Give chunks of joint targets to `lieednn-chunks`: clean and faulty ones, and those of policies in closed loop.
+"""Test `lieednn-chunks` with clean and faulty chunks of joint targets, and with policies in closed loop.
 
     pip install 'ruckig>=0.19,<1' 'torch>=2.10,<3'
     python scripts/chunks.py [--chunks 200] [--episodes 20] [--policies expert clone] [--jobs 2]
@@ -40,7 +40,7 @@ FAULTS = (
     *("jump inside", "jump at the seam", "speed", "acceleration", "limits", "not a number", "wrong shape"),
     *("stale", "outlier", "noise", "contact"),
 )
-# Kinds whose clean chunk is to be followed all the same; and those of the expert's chunks.
+# Kinds for which the reference should follow the clean chunk; and the faults of the expert's chunks.
 FOLLOWED, PLAYED = (*CLEAN, "outlier", "noise"), ("jump inside", "jump at the seam", "speed", "outlier", "noise")
 SCENE, TASKS = "poles", ("reach", "track")
 DELAYS, EVERY = (0.0, 0.2, 0.8), 0.4  # of inference, and time between two chunks [s]
@@ -55,7 +55,7 @@ def room(name: str) -> ls.Arm:
 
 
 def faulty(arm: ls.Arm, kind: str, clean: Floats, dt: float, passed: int, rng: np.random.Generator) -> Floats:
-    """A clean chunk ``(H, n)`` with a fault of a kind behind the targets that have passed."""
+    """A clean chunk ``(H, n)`` with a fault of a kind after its first ``passed`` targets."""
     chunk, (low, high), v = clean.copy(), arm.position_limits.T, arm.velocity_limits
     row, joint = int(rng.integers(passed + 3, len(chunk) - 2)), int(rng.integers(arm.n_joints))
     sign, t = rng.choice([-1.0, 1.0], arm.n_joints), dt * np.arange(len(chunk))
@@ -88,7 +88,7 @@ def faulty(arm: ls.Arm, kind: str, clean: Floats, dt: float, passed: int, rng: n
 
 
 def judged(kind: str, seed: int) -> dict[str, float]:
-    """What becomes of one chunk that follows on a clean one, and how far from it the reference is if it is clean."""
+    """Send one chunk after a clean one; returns its verdict, and the reference's distance from the clean chunk."""
     arm, rng = room(DEFAULT_ARMS[seed % len(DEFAULT_ARMS)]), np.random.default_rng(seed)
     delay = {CLEAN[0]: 0.0, CLEAN[2]: 0.8}.get(kind, 0.2 * float(rng.integers(5)))
     hz = int(rng.choice([10, 20, 30, 50]))
@@ -100,7 +100,7 @@ def judged(kind: str, seed: int) -> dict[str, float]:
             break
 
     def way(times: Floats) -> Floats:
-        """What chunks are cut from; in its last second it slows down to rest."""
+        """The path of which chunks are parts; it slows down to rest in its last second."""
         x = np.clip(times - (end - 1.0), 0.0, 1.0)
         return drawn(np.clip(times, 0.0, end - 1.0) + x - x**3 + 0.5 * x**4)
 
@@ -130,8 +130,8 @@ def judged(kind: str, seed: int) -> dict[str, float]:
 
 
 def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: Path) -> dict[str, float]:
-    """What one episode of a task comes to, with a chunk of its policy every `EVERY` seconds."""
-    # To reach a target it has as long, whatever the delay.
+    """The figures of one episode of a task, in which the policy sends a chunk every `EVERY` seconds."""
+    # The time to reach a target does not depend on the delay.
     longer: dict[str, Any] = {"time_limit": 6.0 + delay} if name == "reach" else {}
     task = make_task(name, control_timestep=PERIOD, **longer)
     task.begin(np.random.default_rng(FIRST_SEED + seed))
@@ -176,7 +176,7 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
 
 
 def run(job: tuple[Any, ...], count: int, folder: Path) -> list[dict[str, float]]:
-    """What a row is made of."""
+    """The runs of a row."""
     if len(job) == 1:
         return [judged(job[0], seed) for seed in range(count)]
     name, policy, delay, way = job
@@ -184,7 +184,7 @@ def run(job: tuple[Any, ...], count: int, folder: Path) -> list[dict[str, float]
 
 
 def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str = "") -> list[str]:
-    """Both tables, and what they are."""
+    """Both tables, with their explanations."""
     single, closed = [], []
     for job, rows in found.items():
         of = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0]}
@@ -202,28 +202,33 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
     return [
         "# Chunks of joint targets through `lieednn-chunks`",
         "",
-        "Chunks of each kind have 16 to 70 targets at 10 to 50 Hz, come 0 to 0.8 s late, and follow on a clean "
-        f"one, on {', '.join(DEFAULT_ARMS)} in turn, among {SCENE}. Found: the verdict names something. Safe: "
-        "until a second after its end the reference keeps the limits of position, velocity and acceleration, "
-        "and MuJoCo finds no contact there, every 20 ms. Off: how far at most the reference is from the clean "
-        "chunk, once it has gone over, unless the verdict says that it rests before what is not proved to be clear; of "
-        "outliers and noise, from the chunk without them.",
+        f"Each row tests one kind of chunk on {', '.join(DEFAULT_ARMS)} in turn, among {SCENE}. A chunk has 16 to 70 "
+        "targets at 10 to 50 Hz, arrives 0 to 0.8 s late, and follows a clean one.\n\n- **found**: the verdict names "
+        "at least one problem.\n- **safe**: until one second after the chunk's end, the reference keeps the limits of "
+        "position, velocity and acceleration, and MuJoCo finds no contact along it, checked every 20 ms.\n- **off**: "
+        "the largest joint distance between the reference and the clean chunk, after the transition to the chunk. For "
+        "outliers and noise, the clean chunk is the one without them. Refused chunks are left out, and so are those "
+        "where the arm waits before a part that is not proved free of contact.",
         *markdown_table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
         "",
-        f"In closed loop at {1.0 / PERIOD:.0f} Hz, on the same episodes of `TelescopicReach` and "
-        f"`TelescopicTrack` for all, of 6 s, of Reach from the first chunk on: a chunk of {H} targets at "
-        f"{1.0 / DT:.0f} Hz every {EVERY:g} s, which comes after the delay. The expert plays its motion; one of "
-        f"three chunks in the first 4 s has a fault ({', '.join(PLAYED)}). The clone is a network fitted to "
-        f"{policies.EPISODES} episodes without faults. The reference is the newest chunk in its time, straight "
-        f"between targets (raw); this after a filter of first order, {policies.TIME_CONSTANT:g} s; blended linearly "
-        f"with the one before over {policies.BLEND:g} s; Ruckig's with it as target, and its velocity, in each "
-        f"period, and {policies.JERK:g}/s times the acceleration as jerk; or `lieednn-chunks`. Success: within 1 mm "
-        "and 0.1 degrees, at rest, at the end; for Track, share of the time from 2 s on within 5 mm and 0.5 degrees. "
-        "Touching: episodes with a contact of the arm. Jump: largest change of the reference's velocity in a "
-        "period, as a multiple of what the limit of acceleration allows. Jerk: root mean square with joints in "
-        "their ranges, median. Lag or back: for Track the delay of the target with which it fits the reference "
-        "best, median; for Reach how far at most the reference goes away from the goal, as a part of the "
-        f"distance at the start{libraries}.",
+        f"In closed loop at {1.0 / PERIOD:.0f} Hz, a policy sends a chunk of {H} targets at {1.0 / DT:.0f} Hz every "
+        f"{EVERY:g} s, which arrives after the delay. All rows have the same episodes of `TelescopicReach` and "
+        "`TelescopicTrack`. They take 6 s, for Reach counted from the arrival of the first chunk. The expert's chunks "
+        f"are parts of its motion; of those in the first 4 s every third has a fault ({', '.join(PLAYED)}). The clone "
+        f"is a network fitted to {policies.EPISODES} episodes of the expert without faults. The arm follows one of "
+        "these references:\n\n- **raw**: the newest chunk, with straight lines between its targets.\n- **low-pass**: "
+        f"raw after a first-order filter with a time constant of {policies.TIME_CONSTANT:g} s.\n- **linear blending**: "
+        f"raw, blended linearly with the chunk before over {policies.BLEND:g} s.\n- **Ruckig**: a motion to raw's "
+        f"position and velocity, planned again in each period, with a jerk limit of {policies.JERK:g}/s times the "
+        "acceleration limit.\n- **lieednn-chunks**: the policy of this package.\n\nThe columns:\n\n- **success**: for "
+        "Reach, the percentage of episodes that end at rest within 1 mm and 0.1 degrees of the target; for Track, the "
+        "percentage of the time from 2 s on within 5 mm and 0.5 degrees of it.\n- **touching**: episodes in which the "
+        "arm touches something.\n- **jump**: the largest change of the reference's velocity in a period, as a multiple "
+        "of what the acceleration limit allows.\n- **jerk**: the root mean square of the reference's jerk, with joints "
+        "in units of their ranges; median of the episodes.\n- **lag or back**: for Track, the delay of the target at "
+        "which it fits the reference best; median. For Reach, the largest distance by which the reference goes back "
+        "from the goal, as a part of the distance at the start.\n- **refused**: chunks that are not executed.\n- "
+        f"**CPU**: the time of a control step with a new chunk, and without one.{libraries}",
         *markdown_table((*HEADINGS, "lag or back", "refused", "CPU, new chunk / none [ms]"), closed),
     ]
 
@@ -236,14 +241,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = io.make_directory(given.output / "runs")
     counts: dict[tuple[Any, ...], int] = {(kind,): given.chunks for kind in (*CLEAN, *FAULTS)}
     counts |= dict.fromkeys(product(TASKS, given.policies, DELAYS, REFERENCES), given.episodes)
-    used = f"; Ruckig {metadata.version('ruckig')}"
+    used = f"\n\nVersions: Ruckig {metadata.version('ruckig')}"
     if "clone" in given.policies:
         fits = {f"fit-{name}": (name, folder / f"{name}.npz") for name in TASKS}
         saved_runs(folder, fits, policies.fit, given.jobs)
         used += f", torch {metadata.version('torch')}"
     runs = {"-".join(map(str, job)).replace(" ", "_"): (job, count, folder) for job, count in counts.items()}
     found = dict(zip(counts, saved_runs(folder, runs, run, given.jobs), strict=True))
-    write(given.output / "chunks.md", report(found, used))
+    write(given.output / "chunks.md", report(found, f"{used}."))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the studies have in common: their options, the files they write, and runs with which they go on."""
+"""Code that the studies share: options, files that they write, and finished runs that they keep."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def options(
     choices: Mapping[str, Iterable[str]] | None = None,
     **defaults: Any,
 ) -> argparse.Namespace:
-    """What a command line says: folders, several with a plus, ``--output`` and options with their defaults' types.
+    """Parse a command line with folders, ``--output``, and options with the types of their defaults.
 
-    Options of several values take them with blanks or commas between; ``choices`` are those that some allow.
+    A folder's name ends in a plus if there may be several. Values of an option are separated by blanks or commas;
+    ``choices`` lists the allowed ones.
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in folders:
@@ -72,10 +73,10 @@ def spread(values: Sequence[float] | np.ndarray, *levels: float) -> list[str]:
 
 
 def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable[..., Any], jobs: int) -> list[Any]:
-    """What ``work`` makes of the arguments of each run, by its name, kept in JSON files with which a study goes on.
+    """The results of ``work`` for the arguments of each run; kept in JSON files, so that an interrupted study goes on.
 
-    With several jobs they are in processes. Each has one thread, whose sums are always in the same order. `FileError`
-    if a kept run had other arguments; paths, which may be elsewhere now, are not compared.
+    Several jobs are processes of one thread each, so that sums are always in the same order. Raises `FileError` if a
+    kept run had other arguments; paths are not compared.
     """
     io.make_directory(folder)
     each = [(folder / f"{name}.json", work, given) for name, given in runs.items()]
@@ -110,10 +111,7 @@ def _made(path: Path, asked: str) -> Any:
 def saved_rows(
     folder: Path, cases: Sequence[dict[str, Any]], measure: Callable[..., dict[str, Any]], jobs: int = 1
 ) -> list[dict[str, Any]]:
-    """A row for each case, kept as by `saved_runs`: the case, and what ``measure`` makes of its values.
-
-    Where that fails, ``reason`` in the row says why; else it is empty.
-    """
+    """A row for each case, kept as by `saved_runs`: the case, what ``measure`` returns, or ``reason`` if it fails."""
     runs = {"-".join(map(str, case.values())): tuple(case.values()) for case in cases}
     made = saved_runs(folder, runs, partial(_row, measure), jobs)
     return [case | row for case, row in zip(cases, made, strict=True)]
@@ -127,7 +125,7 @@ def _row(measure: Callable[..., dict[str, Any]], *case: Any) -> dict[str, Any]:
 
 
 def perceptron(x: Floats, y: Floats, rate: float, epochs: int, seed: int) -> Iterator[Any]:
-    """After each step the network of torch, with two layers of 256, that is fitted to rows by least squares."""
+    """Fit a network of torch, with two layers of 256, to rows by least squares; yields it after each step."""
     torch = import_module("torch")
     torch.set_num_threads(1)
     torch.manual_seed(seed)

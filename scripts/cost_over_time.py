@@ -1,15 +1,13 @@
-"""Cost over time of the rival planners that improve what they found, beside RRT-Connect, which does not.
+"""Cost over time of planners that improve their first path, beside RRT-Connect, which does not.
 
     python scripts/cost_over_time.py [--planners NAME ...] [--arms NAME ...] [--seeds 4] [--output ...]
 
-The work allowed, which the planners' options count, doubles from run to run. Each run is a separate plan, with its CPU
-time and the length of its joint path in units of the joints' velocity limits, which is what these planners minimise.
-So planners need not watch a clock, and all columns except the CPU time are reproducible; compared with watching a
-single run, curves are late by the times of the shorter runs, and never early. Smoothing and checks of the motion are
-part of a run, as of every plan. The problems are all arms among poles, which rarely leave the straight path free, with
-seeds from 2000 on. Lengths are divided by the shortest that any planner has for the problem; medians are over all
-problems, with unsolved ones as the longest. Writes ``cost_over_time.md`` and ``cost_over_time.png``; an interrupted run
-goes on.
+Each run is a separate plan with a limit of work, counted by a planner's option, which doubles from run to run. A run
+has a CPU time, smoothing and checks included, and the length of its joint path in units of the joints' velocity limits,
+which these planners minimise. So no planner watches a clock, and all columns except the CPU time are reproducible;
+compared with watching a single run, curves are late by the times of the shorter runs. The problems are all arms among
+poles, with seeds from 2000 on. Medians count unsolved problems as the longest. Writes ``cost_over_time.md`` and
+``cost_over_time.png``; an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -95,9 +93,10 @@ def report(runs: Sequence[dict[str, Any]], command: str) -> list[str]:
     return [
         "# Cost over time",
         "",
-        f"`{command}`: median length of joint paths over the shortest that any planner has for the problem, of {count} "
-        "problems, by CPU time; in brackets the number of problems solved by then; a dash where fewer than half are "
-        "solved. Beyond its longest run a planner was given no more work.",
+        f"`{command}`: the length of a planner's joint path, divided by the shortest that any planner has for the "
+        f"problem. Values are medians over {count} problems, by CPU time. The number in brackets is that of the "
+        "problems solved by then; a dash means fewer than half. A planner was given no more work than in its longest "
+        "run.",
         *markdown_table(["planner", *(f"{t:g} s" for t in TIMES), "longest run [s]"], rows),
     ]
 

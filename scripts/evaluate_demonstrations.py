@@ -4,8 +4,8 @@
                                               [--output results/demonstrations]
 
 FOLDER holds ``robottasks/*.npy`` (centimetres, quaternions w x y z) and ``lasa/*.mat`` (millimetres); they are not part
-of this project. Rows are kept in ``OUTPUT/runs``, with which an interrupted run goes on; ``demonstrations.md`` has the
-tables. All columns except the times are reproducible.
+of this project. Rows are kept in ``OUTPUT/runs``, so an interrupted run goes on; ``demonstrations.md`` has the tables.
+All columns except the times are reproducible.
 """
 
 from __future__ import annotations
@@ -26,27 +26,26 @@ from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models
 
 STARTS = 1000
 NOTES = (
-    "Each demonstration is seen from its own goal, all at equal fractions of their paths, a radian counting for 0.2 m.",
-    "RMS, DTWD and Frechet distance are of dynamic time warps of 1000 samples of each path; DTWD is the sum over all",
-    "pairs. `mean`: reproduction of the mean demonstration; `training`: of each from its own start; `left out`: the",
-    "same by models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers",
-    "that were fitted and are not zero by construction. The network has the least of 8, 16, 32, 48 and 64 hidden",
-    "neurons that comes as near as was asked for; the others have about as many parameters.",
-    "Besides, its hidden neurons' start depends on the visible one (24 pairs of opposite switches). That response to",
-    "the start, like `promp`'s covariance, is not counted among the parameters.",
-    "",
-    "`promp` keeps a distribution over paths and is conditioned on start and goal: it has no field, and arrives",
-    "because of that. Its covariance is not counted among its parameters; the standard deviation added to it, 1 % of",
-    "the extent, was chosen out of 0.1, 1 and 10 % on four of the sets. Means of `lpv-ds` are spoilt by shapes that no",
-    "quadratic Lyapunov function allows; its starts that have not arrived, and are at no other attractor, are still on",
-    "their paths. Errors are of warped pairs, since at equal fractions of the length a small hook at the beginning",
-    "that is left out would shift all that follows.",
+    "Each demonstration is seen from its own goal, and resampled at equal fractions of its path, where a radian counts "
+    "as 0.2 m. RMS, DTWD and Frechet distance compare 1000 samples of each path after dynamic time warping: at equal "
+    "fractions of the length, a small hook left out at the beginning would shift all that follows. DTWD is the sum "
+    "over all pairs.\n\n- `mean`: the model reproduces the mean demonstration.\n- `training`: it reproduces each "
+    "demonstration from that one's start.\n- `left out`: the same by models that have not seen the demonstration.\n- "
+    "`arrived`, `spurious`: of random starts all around, how many reach the goal, and at how many other attractors "
+    "starts come to rest.\n- `parameters`: fitted numbers that are not zero by construction.\n\nThe network has 8, 16, "
+    "32, 48 or 64 hidden neurons, the least that meet the required accuracy; the others have about as many parameters. "
+    "The start of its hidden neurons also depends on the start of the visible one (24 pairs of opposite switches). "
+    "These, like the covariance of `promp`, are not counted among the parameters.\n\n`promp` keeps a distribution over "
+    "paths and is conditioned on start and goal: it has no field, and arrives because of that. The standard deviation "
+    "added to its covariance, 1 % of the extent, was chosen out of 0.1, 1 and 10 % on four of the sets. Means of "
+    "`lpv-ds` are spoilt by shapes that no quadratic Lyapunov function allows; its starts that have neither arrived "
+    "nor reached another attractor are still on their paths.",
 )
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
 def scores(path: Path, unit: str, starts: int) -> list[dict[str, Any]]:
-    """A row for each model of the demonstrations in a file, the network first; none where they cannot be fitted."""
+    """A row for each model of the demonstrations in a file, the network first; no rows if they cannot be fitted."""
     try:
         demonstrations = align(load_demonstrations([path], unit=unit))
         rows, _ = compare_models(demonstrations, ShapedMotion.fit(demonstrations), starts=starts)
@@ -95,10 +94,10 @@ def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
     lines = [f"- Every start arrives, and there is no other attractor: {_holds(arrived)}."]
     if kind == "robottasks":
         near = [ours["mean_rms_mm"] <= 2.0 and ours["mean_rms_deg"] <= 0.5 for ours, _ in pairs]
-        lines.append(f"- The mean demonstration within 2 mm and 0.5 degrees RMS: {_holds(*near)}.")
+        lines.append(f"- The mean demonstration is reproduced within 2 mm and 0.5 degrees RMS: {_holds(*near)}.")
         for key, what in (("dtwd_mm", "DTWD"), ("rms_mm", "RMS of positions"), ("rms_deg", "RMS of turns")):
             better = [ours[f"left_out_{key}"] <= dmp[f"left_out_{key}"] for ours, dmp in pairs]
-            lines.append(f"- {what} of demonstrations left out no more than the primitive's: {_holds(*better)}.")
+            lines.append(f"- {what} of demonstrations left out is at most that of `dmp`: {_holds(*better)}.")
     else:
         for part in ("training", "left_out"):
             models = dict.fromkeys(row["model"] for row in found)
@@ -106,8 +105,8 @@ def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
             best = mean["lieednn-shaped"]
             says = ", ".join(f"{name} {value:.0f}" for name, value in mean.items())
             lines.append(f"- Mean DTWD [mm], {part.replace('_', ' ')}: {says}.")
-            lines.append(f"  No more than the primitive's: {_holds(bool(best <= mean['dmp']))}; ")
-            lines[-1] += f"less than the stable mixture's: {_holds(bool(best < mean['lpv-ds']))}."
+            lines.append(f"  At most that of `dmp`: {_holds(bool(best <= mean['dmp']))}; ")
+            lines[-1] += f"less than that of `lpv-ds`: {_holds(bool(best < mean['lpv-ds']))}."
     return lines
 
 

@@ -1,11 +1,10 @@
-"""Push arms off the path of a shaped network by a tenth of their range, and measure where they return to it.
+"""Push arms off the path of a shaped network by a tenth of their range, and measure their return.
 
     python scripts/evaluate_pushes.py [--pushes 50] [--rates 0.1 0.3 1] [--arms NAME ...] [--output results/pushes]
 
-For each arm and rho, the arm follows the network with feedback (`NetworkPolicy`) in MuJoCo, without
-obstacles. A force acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. Its size is
-chosen so that the largest joint deviation from the undisturbed path is 8 to 12 % of the range. Writes ``pushes.md``; an
-interrupted run goes on.
+For each arm and rho, the arm follows the network with feedback (`NetworkPolicy`) in MuJoCo, without obstacles. A force
+acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. It is as large as needed for a
+joint to deviate by 8 to 12 % of its range. Writes ``pushes.md``; an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -87,14 +86,15 @@ def summary(rows: list[dict[str, Any]], command: str) -> list[str]:
     return [
         "# Pushed by a tenth of the range",
         "",
-        f"`{command}`. In MuJoCo, with `follow(NetworkPolicy(...))`: a force of {PUSH_TIME:g} s on a random link "
-        f"takes a joint {100 * PUSH_DEVIATION:g} % (8 to 12) of its range off the undisturbed path. Back is "
-        "within a tenth of that, for good; the fraction is of the path that was left when the push began. For some "
-        "pushes the search for the force gave up outside 8 to 12 %; the last column is the distance of the end "
-        f"effector from its target after {DURATION:g} s, since after a push the clock waits and some of the path may "
-        "be left. The peak velocity is mostly the push's own. The default coupling takes most of a push along to the "
-        "network's state, so that what is measured is the network's own return, as e^-t, while the clock goes on rho "
-        "as fast.",
+        f"`{command}`: `follow(NetworkPolicy(...))` moves an arm in MuJoCo. A force of {PUSH_TIME:g} s on a random "
+        f"link moves a joint off the undisturbed path by {100 * PUSH_DEVIATION:g} % (8 to 12) of its range.\n\n- "
+        "**back**: from some time on, all joints stay within a tenth of this deviation.\n- **fraction of what is "
+        "left**: the part of the path left at the push that has passed when the arm is back.\n- **peak velocity**: "
+        "mostly that of the push itself.\n- **not 8 to 12 %**: pushes for which the search for the force gave up "
+        f"outside this range.\n- **end**: distance of the end effector from its target after {DURATION:g} s. The clock "
+        "waits after a push, so some of the path may be left.\n\nThe default coupling moves the network's state along "
+        "with most of a push. The table therefore measures the network's own return, which decays as e^-t, while the "
+        "clock runs at the rate rho.",
         *markdown_table([*headings, "end [mm], worst"], cells),
     ]
 

@@ -7,10 +7,10 @@
     pip install 'stable-baselines3>=2.9,<3' 'gymnasium-robotics>=1.4,<2'
     python scripts/learn_reach.py [--seeds 3] [--jobs 2] [--output results/learning]
 
-Behaviour cloning of the expert, and SAC and PPO of Stable-Baselines3 with its default settings (PPO's batch of 2048
-steps comes from eight environments) on observations normalised by its `VecNormalize`, act ten times a second. Each
-learner has a fixed budget, see `LEARNERS`, and runs are processes of one thread. Finished runs are kept in
-``OUTPUT/runs`` and not repeated, so that an interrupted study goes on. Writes ``learning.md`` and ``learning.png``.
+The learners are behaviour cloning of the expert, and SAC and PPO of Stable-Baselines3 with default settings (PPO's
+batch of 2048 steps comes from eight environments) on observations normalised by `VecNormalize`. They act ten times a
+second. `LEARNERS` has their budgets, and each run is a process of one thread. Finished runs are kept in
+``OUTPUT/runs``, so an interrupted study goes on. Writes ``learning.md`` and ``learning.png``.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def arrival(successes: Sequence[bool]) -> float | None:
 
 
 def expert_of(where: Environment) -> Act:
-    """The expert, which knows more than the observations; a new one for each environment."""
+    """The expert of an environment, which knows more than the observations."""
     expert = Expert(where, policy="lieednn-certified")
     return lambda _: expert.act()
 
@@ -105,7 +105,7 @@ def demonstrations(path: Path) -> tuple[Floats, Floats]:
 
 
 def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
-    """Steps of the expert seen and the policy, now and then: a network like SAC's, fitted by least squares."""
+    """Now and then, the expert steps seen and the policy, a network like SAC's that is fitted by least squares."""
     torch, (observations, actions) = import_module("torch"), demonstrations(path)
     mean, deviation = observations.mean(axis=0), observations.std(axis=0) + 1e-6
     total = EPOCHS * (len(actions) // BATCH)
@@ -121,7 +121,7 @@ def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
 
 
 def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
-    """Steps done and the deterministic policy, now and then, of a learner of Stable-Baselines3."""
+    """Now and then, the steps done and the deterministic policy of a learner of Stable-Baselines3."""
     vectors = import_module("stable_baselines3.common.vec_env")
     count = 8 if learner == "PPO" else 1
     environments = vectors.VecNormalize(vectors.DummyVecEnv([environment] * count))
@@ -141,7 +141,7 @@ def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
 
 
 def run(learner: str, seed: int, folder: Path) -> dict[str, Any]:
-    """What comes of one learner with one seed, trained and evaluated."""
+    """Train and evaluate one learner with one seed."""
     if learner == EXPERT:
         where = environment()
         return {"last": evaluate(expert_of(where), MANY, where)}
@@ -178,9 +178,10 @@ def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> list[s
     return [
         "# Learning to reach",
         "",
-        f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
-        "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
-        f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
+        f"The environment is `{NAME}` with ten actions a second. With each of {max(map(len, runs.values()))} seeds a "
+        f"policy is evaluated in {MANY} fixed episodes of 6 s. An episode succeeds if it ends at rest within 1 mm and "
+        "0.1 degrees of the target. Errors are those at the end. Jerk is that of the joints in units of their ranges, "
+        f"and the column goal is the time after which the arm stays at the target; both are medians.{libraries}",
         *markdown_table([*headings, "goal [s]", "CPU min per seed"], rows),
     ]
 
@@ -215,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made = iter(saved_runs(folder, asked, run, given.jobs))
     runs = {name: [next(made) for _ in range(count)] for name, count in seeds.items()}
     used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
-    write(given.output / "learning.md", report(runs, f"; {', '.join(used)}"))
+    write(given.output / "learning.md", report(runs, f" Versions: {', '.join(used)}."))
     plot(runs, given.output / "learning.png")
 
 

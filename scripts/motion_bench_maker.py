@@ -4,7 +4,7 @@
                                          [--jobs 1] [--output results/motion_bench_maker]
 
 FOLDER is the ``resources`` of VAMP's repository, which is not part of this project; docs/howto/published_problems.md
-says how the problems are posed. Each robot's rows are a table below the output, so an interrupted run can be continued;
+says how the problems are posed. The rows are kept in the output, so an interrupted run goes on;
 ``motion_bench_maker.md`` has the statistics of all.
 """
 
@@ -27,14 +27,15 @@ ROBOTS = ("panda", "ur5", "fetch")
 PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
 BUDGET = 10.0
 METHOD = (
-    "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
-    "the robot's URDF and of accelerations derived from its efforts, free of contact. No clearance is required, since "
-    "starts and goals have none. Proved is the mean fraction of a motion's time over which it is proved, for every "
-    f"instant, that nothing touches. A planner has {BUDGET:g} s of CPU time, on one core, for a problem. Problems "
-    "whose start or goal touches something or breaks a limit are skipped: they count neither as solved nor as failed. "
-    "The solve time covers all from the problem to the timed motion, without toppra's import. Statistics are over "
-    "solved problems. The C-space path is a Euclidean length in radians, for slides in metres. Four numbers are mean / "
-    "median / 75 % / 98 %. [How problems are posed, and what others publish](../../docs/howto/published_problems.md)."
+    "Each motion leads from the published start to the published joint goal, without contact. It keeps the position "
+    "and velocity limits of the robot's URDF, and acceleration limits derived from its effort limits. No clearance is "
+    f"required, since starts and goals have none. A planner has {BUDGET:g} s of CPU time on one core for each problem. "
+    "A problem whose start or goal touches something or breaks a limit is skipped: it counts neither as solved nor as "
+    "failed.\n\n- **solve time**: from the problem to the timed motion, without the import of toppra.\n- **C-space "
+    "path**: Euclidean length in radians; slides count in metres.\n- **proved**: the fraction of a motion's time for "
+    "which it is proved, at every instant, that nothing touches; mean.\n\nStatistics are over the solved problems. "
+    "Four numbers are mean / median / 75 % / 98 %. [How problems are posed, and what others "
+    "publish](../../docs/howto/published_problems.md)."
 )
 HEADINGS = (
     *("robot", "planner", "problems", "skipped", "solved, of asked"),
@@ -65,8 +66,8 @@ def report(rows: dict[str, Sequence[Solution]]) -> list[str]:
         "",
         METHOD,
         *markdown_table(HEADINGS, cells),
-        *("", "What searching planners did not solve:", ""),
-        *(failures or ["- nothing that could be posed"]),
+        *("", "Problems that searching planners did not solve:", ""),
+        *(failures or ["- none"]),
     ]
 
 

@@ -1,12 +1,11 @@
-"""Motions with continuous-time collision certificates, in the scenes that planners with reachable sets are tried in.
+"""Prove motions free of collision in continuous time, in the scenes of planners with reachable sets.
 
     python scripts/provers.py ARMOUR SPARROWS [--sets armour sparrows] [--planners NAME ...] [--jobs 1]
                               [--output results/provers]
 
 The folders are checkouts of roahmlab/armour and roahmlab/sparrows, which are not part of this project;
 docs/howto/published_problems.md says how the problems are posed. Writes a Markdown table, ``provers.md``; exits with
-status 1 if anything is nearer than what is proved. Rows are kept in ``OUTPUT/runs``, with which an interrupted run goes
-on.
+status 1 if anything is nearer than proved. Rows are kept in ``OUTPUT/runs``, so an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -36,19 +35,19 @@ from lieednn_sim.values import Floats
 SETS = {"armour": "kinova_src/saved_worlds/random", "sparrows": "kinova_scenarios"}
 MODEL = "urdfs/kinova_arm/kinova_without_gripper.urdf"
 PLANNERS = ("lieednn-shaped", "rrt-connect", "lieednn-certified", "minimum-jerk")
-# Instants of each motion at which the proof is attacked, and the distance up to which it is [m].
+# Number of instants of each motion at which the proof is tested, and the distance up to which it is [m].
 INSTANTS, FAR = 100, 0.1
 _NOTHING = 1e6
 METHOD = (
-    "From the published start to the published joint goal, with the planners' defaults, within the ranges and the "
-    "velocities of the robot's model and at least 2 mm from contact. Proved: with a continuous-time collision "
-    "certificate, which covers every instant of the motion and not only its samples. The clearance is the lower bound "
-    f"that it proves of all distances, of which {1e3 * FAR:g} mm count at most. The tube is the largest shift of all "
-    "links at once, at whatever instant, after which the network is proved to end at its target without contact; only "
-    "certified networks have one. A run is inside its proof if the simulated joints stay so near to the plan that the "
-    "certificate covers them. CPU times are of one core; that of planning includes the proof. Three numbers are median "
-    "/ least / largest. [How the scenes are posed, and what the planners they come from report]"
-    "(../../docs/howto/published_problems.md)."
+    "A planner with its default options plans from the published start to the published joint goal. The motion must "
+    "keep the ranges and velocities of the robot's model and stay at least 2 mm from contact.\n\n- **proved at every "
+    "instant**: the motion has a continuous-time collision certificate, which covers every instant and not only the "
+    "samples.\n- **runs inside the proof**: the simulated joints stay so near to the plan that the certificate covers "
+    "them.\n- **clearance**: the lower bound that the certificate proves of all distances; distances above "
+    f"{1e3 * FAR:g} mm count as {1e3 * FAR:g} mm.\n- **tube**: the largest shift, of all links at once and at any "
+    "instant, after which the network is proved to end at its target without contact. Only certified networks have "
+    "one.\n- **CPU**: times of one core; planning includes the proof.\n\nThree numbers are median / least / largest. "
+    "[How the scenes are posed, and what the authors of the scenes report](../../docs/howto/published_problems.md)."
 )
 HEADINGS = (
     *("set", "planner", "solved", "proved at every instant", "runs inside the proof", "clearance [mm]", "with a tube"),
@@ -72,7 +71,7 @@ def problem(model: Path, file: Path) -> PublishedProblem:
 def least_distance(arm: Arm, q: Floats) -> float:
     """Least distance [m] of geoms that MuJoCo lets meet at joints ``(K, n)``, by `mj_geomDistance`, at most `FAR`."""
     model = arm.copied_spec().compile()
-    # Contacts of all that is near, only to know which geoms these are.
+    # With this margin MuJoCo lists all pairs of geoms that are near.
     model.geom_margin[:] = FAR
     data, least = mujoco.MjData(model), FAR
     for data.qpos[:] in arm.qpos(q):
@@ -83,7 +82,7 @@ def least_distance(arm: Arm, q: Floats) -> float:
 
 
 def attacked(arm: Arm, made: Plan) -> float:
-    """Least distance [m] at random instants of a plan, of those that are proved; that of nothing if none are."""
+    """Least distance [m] at random proved instants of a plan; `_NOTHING` if no instant is proved."""
     motion, unproved = made.motion, made.clearance.unproved
     t = np.random.default_rng(0).uniform(0.0, motion.t[-1], INSTANTS)
     t = t[~((t[:, None] >= unproved[:, 0]) & (t[:, None] <= unproved[:, 1])).any(axis=1)]
@@ -91,7 +90,7 @@ def attacked(arm: Arm, made: Plan) -> float:
 
 
 def prove(name: str, planner: str, model: Path, file: Path) -> dict[str, Any]:
-    """What is proved of a planner's motion in a scene of a set: times [s] and distances [mm]; or why there is none."""
+    """The row of a planner in a scene of a set: what is proved, times [s], distances [mm]; or why it has no motion."""
     row = {"set": name, "planner": planner, "scene": file.stem.removeprefix("scene_")}
     try:
         arm, start, goal = problem(model, file)
@@ -119,7 +118,7 @@ def prove(name: str, planner: str, model: Path, file: Path) -> dict[str, Any]:
 
 
 def report(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """The statistics of each set and planner, the attack, and what was not solved."""
+    """The statistics of each set and planner, the test of the proofs, and what was not solved."""
 
     def numbers(of: Sequence[dict[str, Any]], name: str) -> str:
         """The median, least and largest of a column."""
@@ -148,15 +147,15 @@ def report(rows: Sequence[dict[str, Any]]) -> list[str]:
         METHOD,
         *markdown_table(HEADINGS, cells),
         "",
-        f"At {INSTANTS} random instants of each of these {len(solved)} motions, mostly between samples, MuJoCo's least "
-        f"distance was below what is proved in {len(broken(rows))} motions; in the median, what is proved is "
-        f"{np.median(sharp):.0%} of it.",
+        f"MuJoCo measured the least distance at {INSTANTS} random instants of each of these {len(solved)} motions, "
+        f"mostly between samples. It was below the proved clearance in {len(broken(rows))} motions. In the median, the "
+        f"proved clearance is {np.median(sharp):.0%} of the measured distance.",
         *("", "What was not solved:", "", *(lost or ["- nothing"])),
     ]
 
 
 def broken(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Motions in which something was found nearer than what is proved."""
+    """Motions in which something was found nearer than proved."""
     return [row for row in rows if not row["reason"] and row["found"] < row["clearance"] - 1e-6]
 
 

@@ -2,9 +2,9 @@
 
     python scripts/real_robots.py FOLDER... [--robots NAME,...] [--targets 10] [--models WORDS] [--output ...]
 
-The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages. Those of `ROBOTS` that are in
-none are left out; `--robots` also takes other files. Writes a JSON file for each robot, so that interrupted runs can be
-continued, and a table of all of them, `robots.md`. Seconds are CPU time.
+The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages. Robots of `ROBOTS` that are in
+no folder are left out; `--robots` also takes other files. Writes a JSON file for each robot, so an interrupted run goes
+on, and a table of all robots, `robots.md`. Times are CPU times.
 """
 
 from __future__ import annotations
@@ -165,15 +165,17 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> list[str]:
         f"Models: {folder}",
         *markdown_table(headings, cells),
         "",
-        "Plans are from home to random targets, then followed; a controller counts where every link ends within 1 mm "
-        "and 0.1 degrees. Deepest: how deep any plan is in anything in the model as it came, but for the contacts that "
-        "the report names as ignored. Times: median CPU time of planning with the first planner over that of minimum "
-        "jerk. Seconds: CPU time.",
+        f"Each plan leads from home to a random target, and the controllers follow those of {PLANNERS[0]}. A run "
+        "counts if every link ends within 1 mm and 0.1 degrees of the target.\n\n- **forward map**: the largest "
+        "distance between the origins of links in the arm and in the original model.\n- **deepest**: the deepest "
+        "penetration by any plan in the original model, without contacts that the import report ignores.\n- **times "
+        f"minimum jerk's**: median CPU time of planning with {PLANNERS[0]}, divided by that with {PLANNERS[1]}.\n- "
+        "**seconds**: CPU time for the whole row.",
     ]
     for row in rows:
         if row["failures"]:
             lines += ["", f"## {row['robot']}", "", *(f"- {failure}" for failure in row["failures"])]
-            lines += ["", "The report before planning:", "", *(f"- {note}" for note in row.get("notes", []))]
+            lines += ["", "Notes of the import report:", "", *(f"- {note}" for note in row.get("notes", []))]
     return lines
 
 

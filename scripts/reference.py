@@ -4,14 +4,14 @@
     python scripts/reference.py --check [NAME ...] [--data WORD=FOLDER ...]
     python scripts/reference.py --update NAME ...
 
-``results/reference/studies.toml`` says what the studies are. One that is made runs in ``results/making/NAME``, so that
-an interrupted one goes on, and ``made.json`` records how it was made. With --check the samples of the studies are made,
-by default of all, and each row of their tables is compared with that row of the committed file; measured times are not.
-The exit status is 1 where one differs. A sample of a table whose rows are means over many more cases has a committed
-file of its own, which --update makes again. Some studies need outside data, such as ``--data PROBLEMS=vamp/resources``:
-recordings of RoboTasks and LASA (``DEMONSTRATIONS``), models of MuJoCo Menagerie and of ROS packages (``ROBOTS``, which
-may be given several times, with names and commits in ``MODELS``), VAMP's ``resources`` (``PROBLEMS``), checkouts of
-roahmlab's ``ARMOUR`` and ``SPARROWS``.
+``results/reference/studies.toml`` lists the studies. A study runs in ``results/making/NAME``, where an interrupted run
+goes on, and ``made.json`` records how it was made. --check makes the samples of the studies, of all by default, and
+compares each row of their tables with the committed row, except for measured times; the exit status is 1 if one
+differs. Where the rows of a table are means over many cases, its sample has a committed file of its own, which --update
+makes again. Some studies need outside data, such as ``--data PROBLEMS=vamp/resources``: recordings of RoboTasks and
+LASA (``DEMONSTRATIONS``), models of MuJoCo Menagerie and of ROS packages (``ROBOTS``, which may be given several times,
+with names and commits in ``MODELS``), VAMP's ``resources`` (``PROBLEMS``), checkouts of roahmlab's ``ARMOUR`` and
+``SPARROWS``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ TIMED = re.compile(
     r"^(measured|seconds)$"
 )
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
-# Two numbers agree within this, the last of three digits, or this much: of a distance [mm] it is rounding.
+# Two numbers agree if they differ by at most this fraction (the last of three digits) or this much (rounding of mm).
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 
@@ -72,7 +72,7 @@ def rows_of(path: Path, keys: int) -> Iterator[tuple[tuple[str, ...], dict[str, 
 
 
 def differences(path: Path, committed: Path, keys: int) -> list[str]:
-    """What differs between the rows of a sample and the committed rows of the same keys, in words."""
+    """The differences between the rows of a sample and the committed rows of the same keys, in words."""
     known: dict[tuple[str, ...], list[dict[str, str]]] = {}
     for key, row in rows_of(committed, keys):
         known.setdefault(key, []).append(row)
@@ -100,7 +100,7 @@ def _agree(cell: str, other: str) -> bool:
 
 
 def check(study: Mapping[str, Any], given: Mapping[str, Sequence[str]], *, update: bool = False) -> list[str]:
-    """Make a sample and return what differs from the committed rows; with ``update``, first take it for these."""
+    """Make a sample and return what differs from the committed rows; ``update`` replaces these first."""
     with tempfile.TemporaryDirectory() as folder:
         for command in study["sample"]:
             _run(command, given, Path(folder))
@@ -115,7 +115,7 @@ def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]]
     """Run a study, or the rest of it, then copy and record its results; `FileError` if a command fails."""
     work = io.make_directory(ROOT / "results/making" / name)
     more = f" --jobs {jobs}" if study.get("jobs") else ""
-    # Those of an interrupted run count.
+    # The times of an interrupted run count.
     path = work / "spent.json"
     spent = io.load_json(path, "times") if path.exists() else {"cpu_s": 0.0, "wall_s": 0.0}
     begin, used = time.perf_counter(), _cpu()

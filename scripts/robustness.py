@@ -1,4 +1,4 @@
-"""Measure the bounds on pushes, moving targets and time steps on 1000 seeded networks: whether they hold, how tight.
+"""Test the bounds on pushes, moving targets and time steps on 1000 seeded networks: do they hold, and how tightly?
 
     python scripts/robustness.py [--cases 1000] [--jobs 1] [--output results/robustness.md]
 
@@ -134,7 +134,7 @@ def measure(network: LieEDNN, rng: np.random.Generator) -> dict[str, float]:
     reached = np.ix_(bounds.reached, bounds.reached)
     jacobian = network.jacobian(origin.reshape(-1, 6))[reached]
     for method in ("Euler", "RK4"):
-        # Here the proved step over the unstable one, a lower and an upper bound of the largest stable step.
+        # The proved step over the unstable one: a lower over an upper bound of the largest stable step.
         h = bounds.largest_step(method)
         ratios[f"{method} step"] = h / unstable_step(jacobian, method)
         if not closer(network, bounds, origin, h, method, rng):
@@ -189,11 +189,13 @@ def report(cases: int, jobs: int) -> tuple[list[str], int]:
     lines = [
         "# Bounds on pushes, moving targets and time steps",
         "",
-        f"`python scripts/robustness.py --cases {cases}`: random certified networks, seeds 0 to {cases - 1}; in turn "
-        "synthesized (one to four neurons), scaled (the same, weaker), and cascades with hidden neurons, half of them "
-        "with a clock. Pushes (0.01 to 3), target velocities (0.001 to 0.1) and starts in random directions of the "
-        "visible neurons. Measured over bound; of time steps the proved one over the one at which the linearisation at "
-        f"the equilibrium turns unstable. Above 1 is broken: {broken} of {sum(map(len, ratios.values()))}.",
+        f"`python scripts/robustness.py --cases {cases}` draws random certified networks with seeds 0 to {cases - 1}. "
+        "They are in turn synthesized (one to four neurons), scaled (the same with weaker connections), and cascades "
+        "with hidden neurons, half of which have a clock. Pushes (0.01 to 3), target velocities (0.001 to 0.1) and "
+        "starts have random directions in the coordinates of the visible neurons. The table has ratios of measured "
+        "values to their bounds. For time steps it has the proved step, divided by the step at which the linearisation "
+        f"at the equilibrium turns unstable. A ratio above 1 breaks the bound: {broken} of "
+        f"{sum(map(len, ratios.values()))} do.",
         *markdown_table(["bound", "network", "cases", "broken", "median", "95 %", "largest"], rows),
     ]
     return lines, broken

@@ -1,13 +1,12 @@
-"""Loads that swing: planners with and without time laws that settle, on two cranes and a boom, and with other loads.
+"""Loads that swing: planners with and without time laws that settle them, on two cranes and a boom.
 
     python scripts/settling.py [--tasks NAME,...] [--planners NAME,...] [--output results/settling]
 
-On the crane of ``assets/tasks/crane`` in 8 and in 12 s, on the luffing `telescopic_crane`, and on the boom of
-``assets/tasks/boom`` with a section that bends, planners' motions get each law of `planning.SettlingOptions`, for the
-model's load. The swing in five seconds after the motion is compared with that after a trapezoidal speed on the same
-path in the time planned without a law, also with masses and lengths 20 % off the model's, and by `lieednn-shaped` 10 %
-off. Besides, what the linear model of the law of least energy says of random motions is compared with
-simulation. Writes ``settling.md`` and ``settling.png``; an interrupted run goes on.
+The arms are the crane of ``assets/tasks/crane`` in 8 and in 12 s, the luffing `telescopic_crane`, and the boom of
+``assets/tasks/boom`` with a section that bends. Each planner's motion gets each law of `planning.SettlingOptions`, for
+the model's load. Loads with other masses and lengths are tried as well. Besides, the linear model of the law of least
+energy is compared with simulations of random motions. Writes ``settling.md`` and ``settling.png``; an interrupted run
+goes on.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ LAWS = ("none", *METHODS[1:], METHODS[0])
 FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)
 LOADS = ({}, *({kind: factor} for kind in ("mass", "length") for factor in FACTORS if factor != 1.0))
 FARTHEST = [load for load in LOADS if set(load.values()) & {FACTORS[0], FACTORS[-1]}]
-VARIED = "lieednn-shaped"  # the planner whose motions are tried with all loads, others' with those and the model's
+VARIED = "lieednn-shaped"  # the planner tried with all loads; others are tried with the model's and the `FARTHEST`
 MOTIONS = 100  # random ones of each crane
 _HOLD = 5.0  # [s]
 _LEFT: dict[tuple[bytes, ...], Any] = {}
@@ -78,7 +77,7 @@ def boom(case: int) -> tuple[ls.Arm, Any]:
 
 @dataclass(frozen=True)
 class Task:
-    """What is moved how often, with which options, which loads are tried, and how many periods longer laws take."""
+    """An arm and its goals, the planner's options, the loads tried, and by how many periods laws are longer."""
 
     title: str
     options: dict[str, Any]
@@ -109,7 +108,7 @@ def name_of(load: dict[str, float]) -> str:
 
 @lru_cache(maxsize=1)
 def planned(task: str, planner: str, case: int) -> tuple[ls.Plan, dict[str, ls.Arm], dict[str, float]] | str:
-    """A plan without a law, arms with all loads, and what a trapezoidal speed leaves of each; or why there is none."""
+    """A plan without a law, arms with all loads, and the swing that a trapezoidal speed leaves; or why it failed."""
     arm, goal = TASKS[task].arm_and_goal(case)
     try:
         with ls.time_limit(60.0):
@@ -122,7 +121,7 @@ def planned(task: str, planner: str, case: int) -> tuple[ls.Plan, dict[str, ls.A
 
 
 def measured(task: str, planner: str, case: int, law: str) -> dict[str, Any]:
-    """The row of a motion with a law: what it leaves, and the fraction of a trapezoid's that this is, by load."""
+    """The row of a motion with a law: the swing left, and for each load its fraction of a trapezoid's."""
     made = planned(task, planner, case)
     if isinstance(made, str):
         return {"reason": made}
@@ -140,7 +139,7 @@ def measured(task: str, planner: str, case: int, law: str) -> dict[str, Any]:
 
 
 def left_by(arm: ls.Arm, motion: Any) -> LoadMetrics:
-    """What a motion of an arm leaves in simulation; equal motions, as in free space, are simulated once."""
+    """The swing that a motion leaves in simulation; equal motions, as in free space, are simulated once."""
     key = tuple(part.tobytes() for part in (motion.q, arm.model.body_mass, arm.model.body_ipos))
     if key not in _LEFT:
         _LEFT[key] = load_metrics(ls.simulate(arm, motion, hold=_HOLD), clearance=False)
@@ -154,12 +153,12 @@ def worst(task: str, rows: Sequence[dict[str, Any]]) -> float:
 
 
 def moved(left: LoadMetrics) -> float:
-    """The angle by which the load swings, or where nothing does, the distance by which the arm bends [degrees, mm]."""
+    """The swing of the load [degrees], or where nothing swings, the bending of the arm [mm]."""
     return left.swing_deg or left.bending_mm
 
 
 def linear(task: str, seed: int) -> dict[str, float]:
-    """Roots of twice the energy that a random motion leaves, by the linear model and by simulation, and its swing."""
+    """Ratio of the roots of the energy that a random motion leaves, linear model over simulation, and its swing."""
     rng, (arm, _) = np.random.default_rng(seed), TASKS[task].arm_and_goal(seed % TASKS[task].cases)
     motion = None
     while motion is None:
@@ -204,8 +203,8 @@ def section(task: str, rows: Sequence[dict[str, Any]]) -> list[str]:
     ratios = [one["left"] / ei["left"] for one, ei in pairs if ei and one["time_s"] < 1.01 * ei["time_s"]]
     lines = ["", f"## {TASKS[task].title}", *markdown_table(heads, cells)]
     calmer = sum(ratio <= 1.0 for ratio in ratios)
-    said = f"In at most EI's time, least energy leaves no more than EI in {calmer} of {len(ratios)} plans"
-    return [*lines, "", f"{said}, in the median {np.median(ratios):.2g} of it."] if ratios else lines
+    said = f"Where it takes no longer than EI, least energy leaves no more than EI in {calmer} of {len(ratios)} plans"
+    return [*lines, "", f"{said}. The median ratio is {np.median(ratios):.2g}."] if ratios else lines
 
 
 def varied(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, str], list[float]]:
@@ -217,7 +216,7 @@ def varied(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, str], list[float]]
 
 
 def agreement(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """How near the linear model comes to simulations of random motions, and where it does not."""
+    """The linear model beside simulations of random motions, and the motions where they differ most."""
     cells, far = [], []
     for task in dict.fromkeys(row["task"] for row in rows):
         own = [row for row in rows if row["task"] == task]
@@ -225,16 +224,17 @@ def agreement(rows: Sequence[dict[str, Any]]) -> list[str]:
         spread = (f"{value:.2f}" for value in np.quantile(ratios, (0.05, 0.5, 0.95)))
         cells.append([task, len(own), len(own) - len(off), *spread])
         far += [
-            f"- {task}, motion {row['seed']:.0f}: {row['ratio']:.2f} of the simulated, which leaves "
-            f"{row['left_deg']:.2g} degrees after {row['most_deg']:.3g} degrees on the way"
+            f"- {task}, motion {row['seed']:.0f}: ratio {row['ratio']:.2f}; in simulation the load swings by "
+            f"{row['most_deg']:.3g} degrees on the way and by {row['left_deg']:.2g} degrees at the end"
             for row in off
         ]
     return [
         *("", "## The linear model beside simulation", ""),
-        "Motions by `minimum-jerk` from rest to random targets in 5 to 15 s, or longer where limits ask for it: the "
-        "root of the energy that is left, by the linear model over that of the simulation.",
+        "`minimum-jerk` plans motions from rest to random targets in 5 to 15 s, or longer where the limits require it. "
+        "The table compares the square root of the energy that a motion leaves: the linear model's value divided by "
+        "the simulation's.",
         *markdown_table(["task", "motions", "within 20 %", "5 %", "median", "95 %"], cells),
-        *(("", "Further off:", "", *far) if far else ()),
+        *(("", "Motions whose ratio is more than 20 % from 1:", "", *far) if far else ()),
     ]
 
 
@@ -243,24 +243,25 @@ def report(rows: Sequence[dict[str, Any]], motions: Sequence[dict[str, Any]]) ->
     lines = [
         "# Loads that swing",
         "",
-        f"Swing left in {_HOLD:g} s after the motion, or bending where nothing swings, as an angle or distance and as "
-        "a fraction of what a trapezoidal speed leaves on the same path in the time planned without a law; other load: "
-        "the largest such fraction with 20 % more or less mass or length than planned for; settled: the fraction that "
-        "is within 1 degree and 5 mm, for good, 1 s after the motion. Means over the cases planned. "
-        "CPU: time of planning, and of finding the law alone.",
+        f"Values are means over the planned cases.\n\n- **left**: how far the load swings in the {_HOLD:g} s after the "
+        "motion, or, where nothing swings, how far the arm bends.\n- **of a trapezoid's**: this as a fraction of what "
+        "a trapezoidal speed leaves on the same path, in the time planned without a law.\n- **other load**: the "
+        "largest such fraction of loads with 20 % more or less mass or length than planned for.\n- **settled within 1 "
+        "s**: the fraction of cases that stay within 1 degree and 5 mm from 1 s after the motion on.\n- **CPU**: the "
+        "time of planning for the law none, and for the others that of finding the law alone.",
     ]
     for task in dict.fromkeys(row["task"] for row in rows):
         lines += section(task, [row for row in rows if row["task"] == task])
     if others := varied(rows):
         cells = [[*key, *(f"{value:.3f}" for value in values)] for key, values in others.items()]
         lines += ["", "## Other loads than planned for", ""]
-        lines += [f"Motions of `{VARIED}`, as fractions of what a trapezoidal speed leaves of the same load."]
+        lines += [f"Motions of `{VARIED}`, as fractions of what a trapezoidal speed leaves with the same load."]
         lines += markdown_table(["task", "law", *map(name_of, LOADS)], cells)
     return lines + (agreement(motions) if motions else [])
 
 
 def plot(others: dict[tuple[str, str], list[float]], rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """What is left over the error of mass and length, and by all planners, a column for each task."""
+    """Plot the swing left over the error of mass and length, and by planner; a column for each task."""
     tasks = list(dict.fromkeys(task for task, _ in others))
     with drawn(path, 3.0 * len(tasks) + 1.0, 8.0) as figure:
         axes = figure.subplots(3, len(tasks), sharey=True, squeeze=False)

@@ -1,4 +1,4 @@
-"""Measure `lieednn-shaped` against its own guide: arms x scenes x seeds, one row each, resumable.
+"""Measure `lieednn-shaped` against its own guide, with one row for each arm, scene and seed.
 
     python scripts/shaped.py [--arms NAME ...] [--scenes NAME ...] [--seeds 50] [--output results/shaped]
 
@@ -53,7 +53,7 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     assert isinstance(plan.network, ls.LieEDNN)
     assert plan.guide is not None
     motion, guide = plan.motion, plan.guide.motion
-    with tempfile.TemporaryDirectory() as folder:  # to load it verifies the certificate again
+    with tempfile.TemporaryDirectory() as folder:  # loading verifies the certificate again
         plan.network.save(path := Path(folder) / "network.npz")
         certified = ls.LieEDNN.load(path).certified
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
@@ -99,9 +99,9 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
     if obstacles:
         off = np.array([row["deviation_mm"] for row in obstacles])
         near, all_near = np.mean(off < 1.0), np.mean(off < 5.0)
-        yield f"\nAmong obstacles {near:.1%} stay within 1 mm of the guide's path, {all_near:.1%} within 5 mm."
+        yield f"\nAmong obstacles, {near:.1%} stay within 1 mm of the guide's path and {all_near:.1%} within 5 mm."
         guides = [row["guide"] for row in obstacles]
-        yield f"Guides: {', '.join(f'{name} {guides.count(name)}' for name in sorted(set(guides)))}."
+        yield f"Motions by guide: {', '.join(f'{name} {guides.count(name)}' for name in sorted(set(guides)))}."
     for row in rows:
         if row["reason"]:
             yield f"\n- {row['arm']}, {row['scene']}, seed {row['seed']:.0f}: {row['reason']}"
@@ -119,9 +119,10 @@ def main(arguments: list[str] | None = None) -> None:
     ]
     rows = saved_rows(given.output / "runs", cases, measured)
     head = (
-        "Median / worst of the planned motions; jerk, path and effort over the guide's. All are motions of universal "
-        "networks, whose code is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles"
-        " and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core."
+        "Cells are median / worst of the planned motions. Jerk, path and effort are ratios to the guide's. All motions "
+        "are those of universal networks: their weights are the same for all paths, and the start of the hidden "
+        "neurons encodes a path. The column fit is the time to find this start. Target, obstacles and planner share "
+        "one seed, counted from 0. Every network was saved, loaded and verified again. Times are CPU times of one core."
     )
     write(given.output / "summary.md", ["# Shaped networks against their guides", "", head, *summary(rows)])
 

@@ -1,4 +1,4 @@
-"""The four tasks of `tasks.py`: their cases, their motions, and what is measured of a simulation."""
+"""The four tasks of `tasks.py`: their cases, their motions, and the figures measured in simulation."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _TIME = 60.0  # CPU time that a motion may take to plan [s]
 
 
 class LeftOutError(Exception):
-    """What a task needs is not there."""
+    """A task cannot run because its robot is missing."""
 
 
 @dataclass
 class Outcome:
-    """A case so far: the present state, the plans and simulations that led to it, and what a film shows."""
+    """A case so far: the present state, the plans and simulations that led to it, and the shots of its film."""
 
     model: Any
     data: Any
@@ -57,7 +57,7 @@ class Outcome:
         mujoco.mj_forward(self.model, self.data)
 
     def missed(self, leg: int) -> float:
-        """Distance of the tip from where a motion was to end, at the end of its rest [m]."""
+        """Distance of the tip from the end of the planned motion, after the rest that follows it [m]."""
         run = self.runs[leg]
         return float(np.linalg.norm(run.link_position[-1, -1] - run.arm.tip(run.q_ref[-1])))
 
@@ -104,8 +104,9 @@ class Boom(Task):
 
     title = "Boom of 22 m through a penetration of 0.55 m"
     published = (
-        "Published: 22 m, 4.6 t, a hole of 55 cm and a margin of 30 mm to its wall "
-        "(sources: `assets/tasks/boom/README.md`). Pass mark: 30 mm kept in simulation, tip within 10 mm."
+        "Published: a boom of 22 m and 4.6 t, a hole of 55 cm, and a margin of 30 mm to its wall (sources: "
+        "`assets/tasks/boom/README.md`). Pass mark: the simulated boom keeps the 30 mm, and its tip ends within 10 mm "
+        "of its goal."
     )
     columns: ClassVar[dict[str, str]] = {"time_s": "time [s]", "clearance_mm": "clearance [mm]", "tip_mm": "tip [mm]"}
     most: ClassVar[dict[str, float]] = {"tip_mm": 10.0}
@@ -123,7 +124,7 @@ class Boom(Task):
         return _at_home("boom")
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
-        # 3 mm more than the published margin, for what a servo is off its plan.
+        # 3 mm more than the published margin, since the servos do not follow the plan exactly.
         arm = ls.Arm.of(done.model, done.data, self.joints, tip="tip", clearance=0.033)
         done.move(arm, self.goals[case], 5.0, planner=planner, seed=case, duration=(60.0, 240.0))
 
@@ -140,9 +141,9 @@ class Harvester(Task):
 
     title = "Picking arm at a row of fruit"
     published = (
-        "Published: 5.97 s for a fruit in the mean, looking for it included, and 7.53 s and 5.27 s by other robots "
-        "(sources: `assets/tasks/harvester/README.md`). Pass mark: four fruits, 5.97 s for each with 1 s for the "
-        "vacuum, tip within 4.7 mm, no contact."
+        "Published: 5.97 s per fruit on average, including the search for it; 7.53 s and 5.27 s by other robots "
+        "(sources: `assets/tasks/harvester/README.md`). Pass mark: the arm takes at most 5.97 s per fruit, with 1 s "
+        "for the vacuum, on the average of four fruits; its tip stops within 4.7 mm of its goals; nothing touches."
     )
     columns: ClassVar[dict[str, str]] = {
         "cycle_s": "cycle [s]",
@@ -201,9 +202,10 @@ class Crane(Task):
 
     title = "Timber crane with an elastic last stage, in 8 s"
     published = (
-        "Published: a feedforward that knows the load reduces its swing by more than 60 % "
-        "(sources: `assets/tasks/crane/README.md`). Pass mark: at most 40 % of the swing after a trapezoidal "
-        "speed along the same path in the same time, hook within 50 mm, load 100 mm from everything."
+        "Published: a feedforward that knows the load reduces its swing by more than 60 % (sources: "
+        "`assets/tasks/crane/README.md`). Pass mark: the load swings by at most 40 % of what a trapezoidal speed "
+        "leaves on the same path in the same time; the hook stops within 50 mm of its goal; the load keeps 100 mm from "
+        "everything."
     )
     columns: ClassVar[dict[str, str]] = {
         "time_s": "time [s]",
@@ -277,7 +279,7 @@ class Crane(Task):
 
 
 class SlowCrane(Crane):
-    """The same with half as much time again."""
+    """The crane in 12 s."""
 
     title = "Timber crane with an elastic last stage, in 12 s"
     duration: ClassVar[float] = 12.0  # [s]

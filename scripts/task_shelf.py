@@ -26,9 +26,9 @@ class Shelf(Task):
 
     title = "Stretch 3 puts a can into a shelf"
     published = (
-        "Published: the robot's default and largest speeds (sources: `assets/tasks/shelf/README.md`). Pass mark: "
-        "there and back in at most the time of one joint after the other at the default speeds, can upright within "
-        "10 mm, 2 mm kept as planned."
+        "Published: the robot's default and largest speeds (sources: `assets/tasks/shelf/README.md`). Pass mark: the "
+        "robot goes there and back in at most the time that it takes at the default speeds, one joint after the other; "
+        "the can stands upright within 10 mm of its place; the planned motions keep 2 mm from everything."
     )
     columns: ClassVar[dict[str, str]] = {
         "time_s": "there and back [s]",

@@ -1,13 +1,12 @@
-"""Plan and simulate four tasks of the field with several planners: pass or fail, beside published figures.
+"""Plan and simulate four real tasks with several planners: pass or fail, beside published figures.
 
     python scripts/tasks.py [--menagerie FOLDER ...] [--tasks NAME,...] [--planners NAME,...] [--output results/tasks]
 
 The scenes are in ``assets/tasks``; the README of each has the sources of its numbers and its pass mark. The robot of
-the task `shelf` is `hello_robot_stretch_3` of MuJoCo Menagerie, in a folder given or in the package
-mujoco_menagerie; without either the task is left out. Every planner gets five cases of every task. Writes the table
-`tasks.md`, and a film and a page that turns of each task; an interrupted run goes on. Seconds of planning are CPU time.
-A planner's name may be followed by a time law that settles the load, as in ``lieednn-shaped+least-energy``, for the
-crane.
+the task `shelf` is `hello_robot_stretch_3` of MuJoCo Menagerie, in a given folder or the package mujoco_menagerie;
+without either the task is left out. For the crane, a planner's name may be followed by a time law that settles the
+load, as in ``lieednn-shaped+least-energy``. Writes the table `tasks.md`, and a film and an interactive page of each
+task; an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ _ROWS = (  # of a simulation
 
 @cache
 def made(name: str, *menagerie: Path) -> Task:
-    """A task by its name; `LeftOutError` if what it needs is not there."""
+    """A task by its name; `LeftOutError` if its robot is missing."""
     return TASKS[name](menagerie)
 
 
 def attempt(name: str, planner: str, case: int, folder: Path, *menagerie: Path) -> dict[str, Any]:
-    """The row of a planner in a case of a task, which the planner of the films shows in the folder, too."""
+    """The row of a planner in a case of a task; the first case of `FILMED` also gets a film and pages in the folder."""
     task, row = made(name, *menagerie), {"planner": planner, "case": case}
     done = task.start(case)
     try:
@@ -66,7 +65,7 @@ def attempt(name: str, planner: str, case: int, folder: Path, *menagerie: Path) 
 
 
 def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (640, 360)) -> None:
-    """Write a GIF of all that happened, as the scene's camera sees it."""
+    """Write a GIF of all simulations of a case, seen by the scene's camera."""
     opengl.require()
     whole, pictures = sum(t[-1] for _, t, _, _ in done.shots), []
     for model, t, qpos, riding in done.shots:
@@ -89,7 +88,7 @@ def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int
 
 
 def write_pages(folder: Path, name: str, done: Outcome) -> None:
-    """Write a page that turns for each stretch of simulations in one model."""
+    """Write an interactive page for each sequence of simulations in one model."""
     stretches: list[list[Any]] = []
     for run in done.runs:
         if stretches and stretches[-1][-1].arm.model.nq == run.arm.model.nq:
@@ -110,9 +109,10 @@ def as_markdown(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     lines = [
         "# Tasks of the field",
         "",
-        "Five cases of each task. Passed: the pass mark in the task's README, stated before anything was measured. "
-        "Planned: all of a case's motions were found. Figures are means over the cases planned, of what the simulation "
-        "did; CPU seconds are those of planning a case, also where it failed.",
+        "Each task has five cases. A case is passed if it meets the pass mark in the task's README, which was stated "
+        "before anything was measured. It is planned if the planner found all its motions. The other figures are "
+        "measured in simulation, and are means over the planned cases. CPU is the time to plan a case, also where "
+        "planning failed.",
     ]
     for name, rows in results.items():
         task, cells, failures = TASKS[name], [], []

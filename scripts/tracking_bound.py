@@ -1,10 +1,10 @@
-"""Compare tracking errors with the bound known before the run, over random masses within the range that it is for.
+"""Compare tracking errors with the bound computed before the run, over random masses in the bound's range.
 
     python scripts/tracking_bound.py [--seeds 63] [--output results/tracking_bound.md]
 
-Motions to random targets in 1.5 s are followed by the controller ``computed-torque`` with masses or a payload that it
-does not know, two runs each. Writes a Markdown table (two minutes on one core); exits with status 1 where a joint was
-further off than its bound.
+The controller ``computed-torque`` follows motions to random targets in 1.5 s, two runs each, with masses or a payload
+that it does not know. Writes a Markdown table (two minutes on one core); exits with status 1 if an error exceeds its
+bound.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def main() -> int:
             runs, broken = runs + len(most), broken + beyond
     headings = ["arm", "range", "runs", "beyond", "error [1e-3]", "bound [1e-3]", "least ratio", "median", "95 %"]
     head = (
-        f"`python scripts/tracking_bound.py --seeds {given.seeds}`: runs by the controller `computed-torque` with "
-        "masses and payloads that it does not know, drawn from the range that `simulation.tracking_bound` was asked "
-        "for. Medians of the largest error of a joint and of its bound [rad, m], and the bound over the error. A joint "
-        f"was beyond its bound in {broken} of {runs} runs."
+        f"`python scripts/tracking_bound.py --seeds {given.seeds}`: the controller `computed-torque` follows motions "
+        "with masses and payloads that it does not know, drawn from the range that `simulation.tracking_bound` was "
+        "given. The table has medians of the largest error of a joint and of its bound [rad, m], and the ratio of the "
+        f"bound to the error. A joint was beyond its bound in {broken} of {runs} runs."
     )
     title = "# Tracking errors and their bound before the run"
     write(given.output, [title, "", head, *markdown_table(headings, rows)])

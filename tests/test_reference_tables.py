@@ -76,7 +76,7 @@ def test_certificates_of_motions_are_counted_and_what_is_nearer_is_found(tmp_pat
         *("walls", "`a-planner`", "2 of 4", "1 of 2", "2 of 2", "7 / 5 / 9", "1 of 2", "2 / 2 / 2"),
         *("4 / 4 / 4", "0.3 / 0.2 / 0.4", "0.5 / 0.5 / 0.5"),
     ]
-    assert "below what is proved in 1 motions; in the median, what is proved is 108% of it" in lines[8]
+    assert "below the proved clearance in 1 motions. In the median, the proved clearance is 108% of" in lines[8]
     assert lines[-2:] == ["- walls, `a-planner`, something in the way: 0", "- walls, `a-planner`, 1: out of time"]
     # A rod of 0.5 m with a joint at its end, and a box with a face 0.03 m beyond the other end.
     rod = """<robot name="rod"><link name="base"/><link name="rod"><collision><origin xyz="0.25 0 0"/><geometry>
@@ -102,7 +102,7 @@ def test_bounds_by_kind_of_network(monkeypatch):
     monkeypatch.setattr(robustness, "case", case)
     text, broken = robustness.report(13, 1)
     assert broken == 1
-    assert any("Above 1 is broken: 1 of 13." in line for line in text)
+    assert any("A ratio above 1 breaks the bound: 1 of 13 do." in line for line in text)
     lines = [cells(line) for line in text if line.startswith("| ")]
     # The 95 % quantile of eleven values is half way between the last two.
     assert ["push gain", kinds[0], "11", "1", "0.36", "1.1", "1.21"] in lines
@@ -125,8 +125,8 @@ def test_shaped_networks_beside_their_guides():
     assert cells(lines[3]) == ["an arm", "free", "1 of 2", "1", *["3 / 3"] * 10]
     assert cells(lines[5])[:3] == ["all", "obstacles", "4 of 4"]
     assert cells(lines[6])[:3] == ["all", "free", "1 of 2"]
-    assert "Among obstacles 50.0% stay within 1 mm of the guide's path, 75.0% within 5 mm." in lines[7]
-    assert lines[8] == "Guides: a guide 4."
+    assert "Among obstacles, 50.0% stay within 1 mm of the guide's path and 75.0% within 5 mm." in lines[7]
+    assert lines[8] == "Motions by guide: a guide 4."
     assert lines[9] == "\n- an arm, free, seed 1: no plan"
 
 
@@ -164,9 +164,9 @@ def test_claims_on_tasks_hold_where_the_network_is_no_worse():
     ]
     assert evaluate_demonstrations.verdicts(rows, "robottasks") == [
         "- Every start arrives, and there is no other attractor: holds.",
-        "- The mean demonstration within 2 mm and 0.5 degrees RMS: holds in 1 of 3.",
+        "- The mean demonstration is reproduced within 2 mm and 0.5 degrees RMS: holds in 1 of 3.",
         *(
-            f"- {what} of demonstrations left out no more than the primitive's: holds in 2 of 3."
+            f"- {what} of demonstrations left out is at most that of `dmp`: holds in 2 of 3."
             for what in ("DTWD", "RMS of positions", "RMS of turns")
         ),
     ]
@@ -188,7 +188,7 @@ def test_claims_on_letters_compare_means_over_them():
     lines = evaluate_demonstrations.verdicts(rows, "lasa")
     for part, line, next_line in (("training", *lines[1:3]), ("left out", *lines[3:5])):
         assert line == f"- Mean DTWD [mm], {part}: lieednn-shaped 100, dmp 200, lpv-ds 100."
-        assert next_line == "  No more than the primitive's: holds; less than the stable mixture's: **does not hold**."
+        assert next_line == "  At most that of `dmp`: holds; less than that of `lpv-ds`: **does not hold**."
 
 
 def test_the_speeds_on_the_site_are_those_of_the_benchmark():

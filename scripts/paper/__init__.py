@@ -1,1 +1,1 @@
-"""The experiments of the paper: what is run (`plan`), what comes of it (`results`) and is made of it (`report`)."""
+"""The experiments of the paper: the jobs (`plan`), their results (`results`), and the report on them (`report`)."""

@@ -1,4 +1,4 @@
-"""Claims of the paper, what was measured, also on random cases, and the verdicts that follow."""
+"""The claims of the paper, what was measured for each, and the verdicts that follow."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from paper.checks.learning import TRANSLATIONS
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART
 from paper.results import Missing, Results
 
-# Relative errors below these are rounding, or of the finite differences that they are measured with.
+# Relative errors below these are due to rounding, or to the finite differences of the measurement.
 EXACT, DIFFERENCES = 1e-9, 1e-6
-# Directions whose cosine is above this are one to first order, as far as a random case can tell.
+# Directions whose cosine is above this count as equal to first order.
 SAME = 0.999
 Scalars = dict[str, Any]
 
@@ -52,7 +52,7 @@ def exact(*names: str, within: float = EXACT) -> Callable[[Scalars], str]:
 
 
 def always(*names: str) -> Callable[[Scalars], str]:
-    """Verdict on what has to be so in all cases."""
+    """Verdict on a property that must hold in all cases."""
     return lambda values: HOLDS if all(values[name] == values["count"] for name in names) else FAILS
 
 

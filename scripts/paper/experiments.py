@@ -23,7 +23,7 @@ Outcome = tuple[Arrays, Scalars]
 # Of a stored history: bins whose width grows with the epoch, and the first epochs one by one.
 N_BINS = 160
 N_FIRST = 400
-# States that random starts are drawn from, uniform in (-START, START), and how near to the target they must come.
+# Random starts are uniform in (-START, START); NEAR is how near to the target they must come.
 START, N_STARTS, NEAR = 2.0, 100, 1e-3
 TIMES = np.linspace(0.0, 40.0, 161)
 
@@ -51,7 +51,7 @@ def synthesis(seed: int) -> Outcome:
 
 
 def retargeted(seed: int) -> Outcome:
-    """The certified network of the first target, led to another one by its bias."""
+    """The certified network of the first target, whose bias then leads it to another target."""
     network, goal = synthesize(target(0), seed=0).unwrap(), target(seed)
     # The first call also fills the network's caches.
     network.retarget(goal)
@@ -70,7 +70,7 @@ KINDS: dict[str, Callable[..., Outcome]] = {
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    """Result and CPU time: unlike the wall time it does not count what else the machine does."""
+    """The result of a call and its CPU time, which does not depend on other load of the machine."""
     start = time.process_time()
     result = work()
     return result, time.process_time() - start

@@ -63,8 +63,8 @@ def training(results: Results) -> tuple[Figure, str]:
     counts = f"{len(results['P=8'])} targets, {len(results['P=10'])} for P = 10, {len(results['literal'])} as printed"
     return drawn, (
         "Training with the repaired Algorithm 1: (a) loss and (b) accuracy for the projection periods that the paper "
-        "recommends, (c) and (d) outside of them. Lines in (a) and (c) are medians over targets, bands their quartiles "
-        f"({counts}); accuracy is the fraction of the 24 coordinates within tau = {TOLERANCE:g}, and all of them are "
+        "recommends, (c) and (d) for other periods. Lines in (a) and (c) are medians over targets, and bands are their "
+        f"quartiles ({counts}). Accuracy is the fraction of the 24 coordinates within tau = {TOLERANCE:g}; it is 1 "
         "only below the dotted line. A run that stopped keeps its last value."
     )
 
@@ -95,7 +95,7 @@ def oscillation(results: Results) -> tuple[Figure, str]:
     right.legend(loc="upper right")
     style.letter(left, right)
     return drawn, (
-        f"Oscillation of the loss for one target (seed {seed}): (a) whole trainings, lines are medians and bands the "
-        f"range of the loss in bins of epochs; (b) the first 200 epochs with P = 10, where every projection throws the "
-        f"loss back."
+        f"Oscillation of the loss for one target (seed {seed}): (a) whole trainings, where lines are medians and bands "
+        "the range of the loss in bins of epochs; (b) the first 200 epochs with P = 10, where every projection raises "
+        "the loss again."
     )

@@ -16,7 +16,7 @@ HOLDS, PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "not me
 # Fractions of targets or networks: from MOST on a claim holds, below FEW it does not.
 MOST, FEW = 0.9, 0.1
 
-# Ends by which the network was lost, unlike a lack of epochs.
+# Reasons for which a run lost its network, rather than its epochs being spent.
 _LOST = (str(StopReason.LOST_EQUILIBRIUM), str(StopReason.UNSTABLE))
 
 
@@ -28,7 +28,7 @@ def graded(rate: float) -> str:
 
 
 def of(records: list[Record]) -> str:
-    """How many succeeded, of how many."""
+    """The count of successes, of all."""
     return f"{sum(bool(record['success'] is True) for record in records)} of {len(records)}"
 
 
@@ -107,10 +107,7 @@ def larger_is_faster(results: Results) -> tuple[str, str]:
 
 
 def _median_epochs(records: list[Record]) -> float:
-    """Median of the epochs to converge; infinite for runs that did not, and without those that lost the network.
-
-    How long a run would have taken that lost its equilibrium or its stability, nobody knows.
-    """
+    """Median epochs to converge, infinite for runs that did not; runs that lost their network are left out."""
     kept = [record for record in records if record["success"] or record["reason"] not in _LOST]
     spent = np.sort([record["epochs"] if record["success"] else np.inf for record in kept])
     return float(spent[len(spent) // 2]) if len(spent) else math.nan

@@ -38,10 +38,10 @@ def weights(results: Results) -> tuple[Figure, str]:
     axes[0].set_ylabel("receiving neuron $i$")
     errors = [record["structure_error"] for record in records]
     return drawn, (
-        f"Trained weights for one target (seed {seed}): (a) with projection every 10 epochs, (b) the ablation without. "
-        f"Solid lines part the 6 x 6 blocks, dotted lines their 3 x 3 parts: R twice, hat(t) R below left, zero above "
-        f"right. The colour scales differ. Relative distance to the nearest weights alpha Ad: {errors[0]:.1g} and "
-        f"{errors[1]:.2f}."
+        f"Trained weights for one target (seed {seed}): (a) with projection every 10 epochs, (b) without projection. "
+        "Solid lines separate the 6 x 6 blocks, and dotted lines their 3 x 3 parts: R twice, hat(t) R below left, zero "
+        "above right. The colour scales differ. Relative distances to the nearest weights alpha Ad are "
+        f"{errors[0]:.1g} and {errors[1]:.2f}."
     )
 
 
@@ -56,8 +56,8 @@ def trajectories(results: Results) -> tuple[Figure, str]:
     for axis in drawn.axes:
         axis.set_xlabel(r"time [$1/\gamma$]")
     return drawn, (
-        f"The trained network (P = 10, seed {seed}) run from zero: the six coordinates of each neuron (angles [rad], "
-        "translations [length units]); targets dashed."
+        f"The trained network (P = 10, seed {seed}), started from zero: the six coordinates of each neuron (angles "
+        "[rad], translations [length units]). Targets are dashed."
     )
 
 
@@ -68,7 +68,7 @@ def equilibria(results: Results) -> tuple[Figure, str]:
     drawn = _neurons(record.arrays["epoch"] + 1.0, record.arrays["equilibrium"], target(seed))
     for axis in drawn.axes:
         axis.set(xscale="log", xlabel="epoch")
-    return drawn, "The equilibrium of the same network while it is trained; targets dashed."
+    return drawn, "The equilibrium of the same network during training. Targets are dashed."
 
 
 def stability(results: Results) -> tuple[Figure, str]:
@@ -108,9 +108,9 @@ def stability(results: Results) -> tuple[Figure, str]:
     handles, labels = axis.get_legend_handles_labels()
     drawn.legend(handles, labels, loc="outside right center")
     return drawn, (
-        "Networks that reach their target: the paper's norm against the diagonal Lyapunov condition. Left of the solid "
-        "line the paper's condition would hold; the ticks are the least norms that any network with these equilibria "
-        "can have. Below the dashed line global stability is proved."
+        "Networks that reach their target: the paper's norm and the diagonal Lyapunov condition. The paper's condition "
+        "holds left of the solid line. The ticks are the least norms that any network with these equilibria can have. "
+        "Global stability is proved below the dashed line."
     )
 
 

@@ -52,17 +52,19 @@ def write(results: Results, figures: dict[str, str], command: str, directory: Pa
         "# What of the paper reproduces\n",
         _made(results, command),
         "## Claims\n",
-        f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
-        "lies between, or needs a condition that the paper does not state, holds in part.\n",
+        f"Verdicts follow from the numbers. A claim holds if its fraction is {MOST:.0%} or more, and does not hold if "
+        f"it is below {FEW:.0%}. It holds in part if the fraction lies between, or if it needs a condition that the "
+        "paper does not state.\n",
         f"Of {len(found)} claims {', '.join(counts)}.\n",
         *markdown_table(
             ("claim", "where", "measured", "verdict"),
             [(claim.text, claim.source, claim.measured, f"**{claim.verdict}**") for claim in claims],
         ),
         "\n## Comparison of algorithms\n",
-        "Same random targets for all (the first ones where fewer). Certificate: fraction of the learned networks with "
-        "a diagonal Lyapunov proof of global stability. Structure: largest relative distance to weights alpha Ad. "
-        "Times are medians over all runs, other medians are over the successful runs.\n",
+        "All algorithms learn the same random targets, some of them only the first ones. The certificate is a diagonal "
+        "Lyapunov proof of global stability; the column gives the fraction of the learned networks that have one. The "
+        "column structure gives the largest relative distance to weights alpha Ad. Times are medians over all runs, "
+        "other medians are over the successful runs.\n",
         *compared(results),
         "\n## What makes the tracked variant better\n",
         "Each row adds one change to the row above it.\n",
@@ -89,7 +91,7 @@ def compared(results: Results) -> list[str]:
         records = results[name]
         rows.append(_compared(label, records, results.successes(name)) if records else (label, *["not run"] * 8))
         if name == "exact projection" and records:
-            # On the same footing as the slow ones.
+            # With the targets and epochs that the slow ones have.
             same = [record for record in results["P=10"] if record.job.parameters["seed"] in seeds(records)]
             good = [record for record in same if record["success"] and record["epochs"] <= results.plan.slow_epochs]
             rows.append(_compared("repaired, as few targets and epochs", same, good))
@@ -157,12 +159,13 @@ def _made(results: Results, command: str) -> str:
     packages = ", ".join(f"{name} {version(name)}" for name in ("lieednn_sim", "numpy", "scipy", "matplotlib"))
     lines = [
         f"`{command}`, Python {platform.python_version()} on {platform.machine()}, {packages}.\n",
-        f"Targets xi_d ~ U(-0.8, 0.8), four SE(3) neurons, b = {BIAS:g}, gamma = mu = 1, tau = {TOLERANCE:g}. Target k "
-        f"is drawn with seed k, and so are the initial weights. {plan.targets} targets; of them {plan.some_targets} "
-        f"for other projection periods than 10, with fixed alpha and with E as the loss, and {plan.slow_targets} as "
-        f"printed and with the exact projection. At most {plan.max_epochs} epochs of gradient descent, "
-        f"{plan.slow_epochs} as printed and with the exact projection, {plan.gradient_steps} steps of the Riemannian "
-        f"gradient. Times are CPU times of one core; all experiments together cost {spent / 60.0:.1f} min.\n",
+        f"Targets xi_d ~ U(-0.8, 0.8), four SE(3) neurons, b = {BIAS:g}, gamma = mu = 1, tau = {TOLERANCE:g}. Seed k "
+        f"draws target k and the initial weights. There are {plan.targets} targets. The first {plan.some_targets} are "
+        "used for projection periods other than 10, with fixed alpha and with E as the loss, and the first "
+        f"{plan.slow_targets} as printed and with the exact projection. Gradient descent has at most {plan.max_epochs} "
+        f"epochs ({plan.slow_epochs} as printed and with the exact projection), and the Riemannian gradient "
+        f"{plan.gradient_steps} steps. Times are CPU times of one core; all experiments together took "
+        f"{spent / 60.0:.1f} min.\n",
     ]
     if plan.name == "quick":
         lines.insert(

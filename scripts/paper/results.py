@@ -1,4 +1,4 @@
-"""Results of all jobs: run, kept, grouped, and the few statistics that figures, tables and claims need."""
+"""The results of all jobs: running and grouping them, and statistics for figures, tables and claims."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from paper.plan import INSIDE, Job, Plan
 
 
 class Missing(Exception):
-    """What has to be shown or judged has no results."""
+    """There are no results for a figure or a claim."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def run_all(jobs: Iterable[Job], directory: Path, workers: int) -> list[Record]:
 
 @dataclass(frozen=True)
 class Results:
-    """What was found: the plan, and records by the name of their group, in the order of the seeds."""
+    """The plan, and the records by the name of their group, in the order of the seeds."""
 
     plan: Plan
     groups: dict[str, list[Record]]

@@ -17,7 +17,7 @@ from paper.plan import TOLERANCE
 
 COLOURS = figure_layout.COLOURS
 BLUE, VERMILION, GREEN, PURPLE, *_ = COLOURS
-# They tell the same as the colours, for print in grey.
+# Dashes for each colour, so that lines differ in grey print.
 DASHES = ("-", "--", "-.", ":")
 GREY = "0.45"
 # With every one of the 24 coordinates within the tolerance E is below this.

@@ -60,7 +60,7 @@ def test_shards_merge_to_the_table_of_one_machine(shards, tmp_path, capsys, undr
     assert len(untimed(out)) == 14
     # Fewer seeds are told; and what is merged again, or was made in another order, is the same.
     text = (out / "comparison.md").read_text(encoding="utf-8")
-    assert "Planners have 5 seeds, but lieednn-trained 2: rows" in text
+    assert "Planners have 5 seeds; these have fewer, so their rows say less: lieednn-trained 2." in text
     assert "| lieednn-trained | mocap | 1 of 2 |" in text
     page = (out / "comparison.html").read_text(encoding="utf-8")
     assert "2 to 5 seeds: 14 attempts" in page

@@ -69,17 +69,17 @@ def method(table: Table[Row]) -> str:
     fewer = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()) if count < most)
     masses = "" if scale == 1.0 else f" with {scale:g} times the masses the controllers know"
     return (
-        f"Motions lead from home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
-        f"{settings.hold:g} s afterwards. A rollout succeeds if nothing touches and every link ends within "
+        f"Each motion leads from home to a random reachable target in {settings.duration:g} s and is simulated{masses} "
+        f"until {settings.hold:g} s afterwards. A rollout succeeds if nothing touches and every link ends within "
         f"{1e3 * SETTLED_TRANSLATION:g} mm and {np.rad2deg(SETTLED_ROTATION):.1g} deg of the target. Tracking errors "
-        "are relative to the planned joints, without the mechanism gap. The tube is the largest s for which it is "
-        "proved that, if every link is off by a shift s and by a turn that moves the end effector by s, anywhere on "
-        "the way, the network ends at the target and nothing touches; only motions that are the path of a certified "
-        "network have one, since nothing is proved about how the rest would go on. Medians are over the seeds "
-        "with a value, so a planner that fails on hard targets is judged by easy ones. A planner that has spent "
+        "are relative to the planned joints, without the mechanism gap. The tube is the largest s with this proof: if "
+        "every link is off by a shift s and by a turn that moves the end effector by s, anywhere on the way, the "
+        "network still ends at the target and nothing touches. Only motions that are the path of a certified network "
+        "have a tube; nothing is proved about how other motions would go on. Medians are over the seeds with a value, "
+        "so a planner that fails on hard targets is judged by easy ones. A planner that has spent "
         f"{settings.time_budget:g} s of CPU time on a problem has failed. All numbers except the planning time are "
         "reproducible."
-        + (f" Planners have {most} seeds, but {fewer}: rows with fewer seeds say less." if fewer else "")
+        + (f" Planners have {most} seeds; these have fewer, so their rows say less: {fewer}." if fewer else "")
     )
 
 

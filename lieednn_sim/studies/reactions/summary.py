@@ -13,20 +13,20 @@ from lieednn_sim.studies.table import Table
 from lieednn_sim.values import StrPath
 
 METHOD = (
-    "From home to random reachable targets with feedback at 100 Hz and inverse-dynamics servos, for 7 s. After 35 % of"
-    " its own undisturbed path each policy is disturbed: by a force of 0.2 s on a random link, in the same direction "
-    "for all, as large as is needed in this run to make a joint deviate by 8 to 12 % of its range while the force acts"
-    " or soon after, at most 20 kN; by a weight of 10 N at the end effector from then on; by another target, up to a "
-    "tenth of the ranges away; or by a pole that walks 0.6 m, in at most 0.6 s, to a place which the end effector would"
-    " pass on the policy's own path, and stays there. All but the tracker are told where it is in each period. A policy"
-    " has arrived if every link ends within 1 mm and 0.1 degrees of the last target without any contact. It is back "
-    "once its deviation from the undisturbed path stays below a tenth of the largest one, which a lasting weight "
-    "prevents. Effort is the integral of the mean squared actuator force relative to its limits. All policies but the "
-    "tracker see the measured joints and wait for the arm; the tracker plays the guide's motion, whatever arm and "
-    "target do. Among obstacles, and where a pole walks, lieednn-replanning, fabric and path integral (mppi) avoid "
-    "contact by themselves; the other networks, primitives and the linear attractor use the safety filter. "
-    "Policies without a time law of their own, but for lieednn-replanning, approach the target at "
-    "2/s. Only the CPU time of a control step, measured in Python, differs between runs."
+    "Each policy moves an arm from home to a random reachable target for 7 s, with feedback at 100 Hz and "
+    "inverse-dynamics servos. After 35 % of its undisturbed path it meets one of four disturbances. Push: a force acts "
+    "on a random link for 0.2 s, in the same direction for all. It is as large as this run needs for a joint to "
+    "deviate by 8 to 12 % of its range during the force or soon after, and at most 20 kN. Payload: a weight of 10 N "
+    "hangs on the end effector from then on. Target: the target moves by up to a tenth of the ranges. Obstacle: a pole "
+    "moves 0.6 m in at most 0.6 s to a place that the end effector would pass on the policy's own path, and stays "
+    "there; policies other than the tracker know its place in each period. A policy has arrived if every link ends "
+    "within 1 mm and 0.1 degrees of the last target without contact. It is back once its deviation from the "
+    "undisturbed path stays below a tenth of the largest, which a lasting weight prevents. Effort is the integral of "
+    "the mean squared actuator force relative to its limits. The tracker plays the guide's motion, whatever arm and "
+    "target do; all other policies see the measured joints and wait for the arm. Among obstacles and moving poles, "
+    "fabric, path integral (mppi) and lieednn-replanning avoid contact by themselves; the other networks, primitives "
+    "and the linear attractor use the safety filter. Except lieednn-replanning, policies without a time law of their "
+    "own approach the target at 2/s. Only the CPU time of a control step (in Python) differs between runs."
 )
 
 

@@ -1,4 +1,4 @@
-"""Statements of the paper against numbers: each check draws random cases and returns what it measured."""
+"""Numerical checks of the paper's statements: each draws random cases and returns what it measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Formulas of the paper, and what it says of stability, frames and other number systems, against numbers."""
+"""Numerical checks of the paper's formulas, and of its statements on stability, frames and other number systems."""
 
 from __future__ import annotations
 
@@ -121,11 +121,7 @@ def norm_conditions(samples: int) -> Scalars:
 
 
 def single_norms(samples: int) -> Scalars:
-    """Random W that meet one condition and not the other: what does each prove alone?
-
-    The certificate, a diagonal Lyapunov matrix checked by eigenvalues, is independent of both: with it there is one
-    equilibrium, and it attracts every start.
-    """
+    """Random W that meet only one of the conditions: does a diagonal Lyapunov matrix prove one global equilibrium?"""
     rng, count = np.random.default_rng(0), max(2, samples // 10)
     columns, sums, violating, beyond = 0, 0, 0, 0
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""What the paper says of its learning rules: gradients against differences, the projection against the manifold."""
+"""Numerical checks of the paper's learning rules: gradients by differences, and the projection by the manifold."""
 
 from __future__ import annotations
 
@@ -67,11 +67,10 @@ def strength_gradient(samples: int) -> Scalars:
 
 
 def riemannian(samples: int) -> Scalars:
-    """The direction in which a step and its projection set out, against the Riemannian gradient.
+    """Cosines between the Riemannian gradient (Frobenius metric) and the first-order change by a projected step.
 
-    At random networks with translations of each size, alpha held as in Algorithm 1: cosines between the Riemannian
-    gradient (in the Frobenius metric) and what the block-wise projection makes of a step along the gradient of E^2/2,
-    or of any loss (a random gradient); and the same of the nearest projection.
+    The networks are random with translations of each size, and alpha is held as in Algorithm 1. Steps go along the
+    gradient of E^2/2 and along a random one; they are projected block by block, and to the nearest point.
     """
     count, few = max(2, samples // 20), max(1, samples // 200)
     cosines = {name: np.empty((len(TRANSLATIONS), count)) for name in ("loss", "random")}

@@ -1,4 +1,4 @@
-"""The paper's theorems on groups, projections and decoding: how far each equation is off, over random cases."""
+"""Numerical checks of the paper's theorems on groups, projections and decoding: errors of equations."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def automorphism(samples: int) -> Scalars:
 
 
 def closed_group(samples: int) -> Scalars:
-    """L[Ad_SE(3)]: products, inverses and limits of sequences; and what R^T = R^-1 alone lets in."""
+    """L[Ad_SE(3)]: products, inverses and limits of sequences; and other matrices with R^T = R^-1."""
     rng = np.random.default_rng(0)
     r1, r2 = Rotation.random(2 * samples, rng=rng).as_matrix().reshape(2, samples, 3, 3)
     t1, t2 = rng.normal(size=(2, samples, 3))
@@ -197,7 +197,7 @@ def _as_real(matrix: np.ndarray) -> np.ndarray:
 
 
 def _largest(error: np.ndarray, of: np.ndarray) -> float:
-    """Largest entry of an error, relative to 1 + the largest of what it is an error of."""
+    """Largest entry of an error, divided by 1 + the largest entry of the exact value."""
     return float(np.abs(error).max() / (1.0 + np.abs(of).max()))
 
 
