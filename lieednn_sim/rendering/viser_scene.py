@@ -18,6 +18,8 @@ from lieednn_sim.values import Floats
 _SMOOTH = 0.6
 # Poses are rounded to multiples of this, 0.1 mm or 0.1 mrad, since recordings of few digits are small.
 _RESOLUTION = 2.0**-13
+# Surfaces by the shapes they are of: an arm is shown again and again, and to make them takes longer than all else.
+_KNOWN: dict[tuple[bytes, ...], Any] = {}
 
 
 class Shape(NamedTuple):
@@ -62,12 +64,16 @@ class Shapes:
                 parts.setdefault(look, []).append(number)
         still: list[Floats] = [np.zeros((0, 3))]
         for (body, rgba, _), geoms in parts.items():
-            mesh = conversions.merge_geoms(model, geoms)
+            # Geoms of files have more to them than size and pose.
+            known = _KNOWN if model.geom_dataid[geoms].max() < 0 and len(_KNOWN) < 1000 else {}
+            key = tuple(v[geoms].tobytes() for v in (model.geom_type, model.geom_size, model.geom_pos, model.geom_quat))
+            if key not in known:
+                mesh = conversions.merge_geoms(model, geoms)
+                # Without the colours of its parts, which take longest to handle.
+                known[key] = mesh if rgba is None else type(mesh)(*_parted(mesh, trimesh_graph), process=False)
+            mesh = known[key]
             if model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0:
                 still.append(mesh.bounds @ data.xmat[body].reshape(3, 3).T + data.xpos[body])
-            if rgba is not None:
-                # Without the colours of its parts, which take longest to handle.
-                mesh = type(mesh)(*_parted(mesh, trimesh_graph), process=False)
             self.shapes.append(Shape(body, mesh, rgba))
         points = np.vstack(still)
         # (2, 3) least and largest coordinates of what does not move, but floors; (0, 3) if there is nothing.
@@ -109,8 +115,7 @@ class ModelNodes:
                 result.append(scene.add_mesh_trimesh(name, shape.mesh))
                 continue
             *colour, alpha = shape.rgba
-            solid = alpha >= 1.0
-            given = {"color": tuple(colour), "opacity": None if solid else alpha, "cast_shadow": solid}
+            given = {"color": tuple(colour), "opacity": None if alpha >= 1.0 else alpha, "cast_shadow": alpha >= 1.0}
             result.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
         # Nodes of tendons, which are lines, with the tendons' ids.
         self.tendons: list[tuple[Any, list[int]]] = []

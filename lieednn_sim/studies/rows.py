@@ -105,11 +105,10 @@ class Group(Generic[R]):
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    # Slow to import, and asked for at the end of a study.
-    from scipy.stats import binomtest
-
-    interval = binomtest(successes, total).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
+    square = 1.959963984540054**2  # of the normal distribution's quantile
+    centre, spread = successes + 0.5 * square, square * (successes * (1.0 - successes / total) + 0.25 * square)
+    low, high = ((centre + sign * spread**0.5) / (total + square) for sign in (-1.0, 1.0))
+    return low if successes else 0.0, high if successes < total else 1.0
 
 
 def grouped(rows: Iterable[R], columns: Sequence[str]) -> list[Group[R]]:

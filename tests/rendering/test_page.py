@@ -104,6 +104,19 @@ def test_edges_are_sharp_and_curved_sides_smooth():
         assert mesh.volume == pytest.approx({24: 8.0}.get(len(mesh.vertices), np.pi * 2.0), rel=0.02)
 
 
+def test_surfaces_that_are_known_are_those_of_shapes_of_all_kinds_sizes_and_places():
+    pytest.importorskip("viser")
+    boxes = [
+        f'type="box" {words}' for words in ('size="1 2 1"', 'size="1 1 1" pos="3 0 0"', 'size="1 2 1" euler="0 0 90"')
+    ]
+    for geom in ('type="box" size="1 1 1"', 'type="ellipsoid" size="1 1 1"', *boxes) * 2:
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><geom {geom}/></worldbody></mujoco>")
+        (shape,) = viser_scene.Shapes(model).shapes
+        turned = kinematics_at(model, model.qpos0).geom_xmat[0].reshape(3, 3) @ model.geom_size[0]
+        np.testing.assert_allclose(shape.mesh.bounds, model.geom_pos + np.outer([-1, 1], np.abs(turned)), atol=1e-9)
+        assert (shape.mesh.volume > 6.0 * model.geom_size.prod()) == ("box" in geom)
+
+
 def test_two_arms_side_by_side_share_their_geometry(gantry):
     rollout = make_rollout(gantry)
     one, two = record([rollout]), record([rollout, rollout], ["one", "other"])
