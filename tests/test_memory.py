@@ -20,6 +20,13 @@ from lieednn_sim.studies.comparison.study import Settings, run_case
 BEHIND = np.array([1.829, 0.041, 0.613, 0.043, -0.731, 0.082, 0.008, 0.103])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def old_things_stay():
+    """To look through what other tests have left takes longer than all else."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def collector_off():
     gc.collect()
