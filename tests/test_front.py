@@ -31,7 +31,7 @@ assert dict(os.environ) == before, set(os.environ.items()) ^ set(before.items())
 """
     environment = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "LIEEDNN_SIM_GL")}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert done.stdout == "Arm\nhat Rollout telescopic_pr\n", done.stderr
+    assert (done.returncode, done.stdout) == (0, "Arm\nhat Rollout telescopic_pr\n"), done.stderr
     with pytest.raises(AttributeError, match="no attribute 'plans'"):
         ls.plans  # noqa: B018
 
