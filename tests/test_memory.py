@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import weakref
 
@@ -25,6 +26,7 @@ def old_things_stay():
     """To look through what other tests have left takes longer than all else."""
     gc.collect()
     gc.freeze()
+    atexit.register(gc.unfreeze)  # bindings complain of what is left when Python ends
 
 
 @pytest.fixture(autouse=True)
