@@ -6,6 +6,7 @@ No test depends on how fast the machine is: those that interrupt a process wait 
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import gc
 import os
 import shutil
@@ -53,6 +54,11 @@ gc.set_threshold(100_000, 50, 50)
 
 # No test depends on how fast the machine is: time budgets see a clock that stands still. Tests of them bring their own.
 budget.cpu_time = lambda: 0.0
+
+# Seconds after which a file of tests says where it is, and goes on: none takes a tenth of it, and a hang is seen.
+_HANGS = 900.0
+_running: Path | None = None
+_stderr = 2  # behind what pytest captures
 
 # What Windows has not: signals between processes, limits of a process, named pipes, and a shell.
 _POSIX = ("cli/test_interruption", "test_ensure_env", "test_faults", "test_reference")
@@ -187,6 +193,11 @@ settings.load_profile("lieednn")
 _BROWSER = ("live/test_page", "rendering/test_page", "studies/report/test_page", "test_browser_page")
 
 
+def pytest_configure() -> None:
+    global _stderr
+    _stderr = os.dup(2)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Workers share the tests by files, so that what a file's fixtures make is made once, and start one browser."""
@@ -220,7 +231,14 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip a rendering test where nothing can be rendered, and a browser test where there is no browser."""
+    """Skip a rendering test where nothing can be rendered, and a browser test where there is no browser.
+
+    With a file's first test begins the time after which it hangs; each test's own would take longer than most tests.
+    """
+    global _running
+    if item.path != _running:
+        _running = item.path
+        faulthandler.dump_traceback_later(_HANGS, file=_stderr)
     if item.get_closest_marker("rendering") and not _BACKEND.renders:
         pytest.skip(f"no headless OpenGL: {_BACKEND.detail}")
     if item.get_closest_marker("browser"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -13,9 +14,24 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning import TrainingOptions, train
 
 
-def test_rooms_are_there_without_being_imported_before():
-    code = "import lieednn_sim as ls; assert 'lie' in dir(ls); print(ls.arm.Arm.__name__, ls.lie.hat.__name__)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "Arm hat\n"
+def test_rooms_are_there_without_being_imported_before_and_no_more_than_is_needed():
+    """Subpackages of SciPy take twice as long as MuJoCo; what starts a process or sets a variable is rendering's."""
+    code = """
+import os, subprocess, sys, scipy
+before, loaded = dict(os.environ), set(sys.modules)
+def refuse(*_, **__):
+    raise AssertionError("a process was started")
+subprocess.Popen.__init__ = refuse
+import lieednn_sim as ls
+from lieednn_sim.cli import console
+assert "lie" in dir(ls)
+print(ls.arm.Arm.__name__, *[name for name in set(sys.modules) - loaded if name.startswith("scipy.")])
+print(ls.lie.hat.__name__, ls.simulation.Rollout.__name__, ls.Arm.load("telescopic_pr").name)
+assert dict(os.environ) == before, set(os.environ.items()) ^ set(before.items())
+"""
+    environment = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "LIEEDNN_SIM_GL")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "Arm\nhat Rollout telescopic_pr\n"), done.stderr
     with pytest.raises(AttributeError, match="no attribute 'plans'"):
         ls.plans  # noqa: B018
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -119,14 +117,6 @@ def test_the_api_reference_has_a_page_for_each_room():
     """On which its `__all__` is, by the template."""
     listed = re.findall(r"^   lieednn_sim\.(\w+)$", (PACKAGE.parent / "docs/api/index.md").read_text(), re.MULTILINE)
     assert listed == ["errors", "budget", *SUBPACKAGES[: SUBPACKAGES.index("cli")]]
-
-
-def test_an_arm_is_imported_without_the_subpackages_of_scipy():
-    """They would take twice as long as MuJoCo."""
-    code = "import sys, scipy; before = set(sys.modules); import lieednn_sim.arm; print(*set(sys.modules) - before)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "lieednn_sim.arm.arm" in done.stdout.split()
-    assert [name for name in done.stdout.split() if name.startswith("scipy.")] == []
 
 
 def test_the_tests_that_the_documents_name_are_there():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import weakref
 
@@ -18,6 +19,14 @@ from lieednn_sim.studies.comparison.rows import Case
 
 # Where a straight motion from home would touch a pole.
 BEHIND = np.array([1.829, 0.041, 0.613, 0.043, -0.731, 0.082, 0.008, 0.103])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def old_things_stay():
+    """To look through what other tests have left takes longer than all else."""
+    gc.collect()
+    gc.freeze()
+    atexit.register(gc.unfreeze)  # bindings complain of what is left when Python ends
 
 
 @pytest.fixture(autouse=True)

@@ -48,6 +48,7 @@ SHORTER = {
         ("(0.8, 1.2)", "(0.8,)"),
         ("[1.2, 0.8, 1.0], duration=10.0", "[0.2, 0.6, 0.6], duration=3.0"),
     ),
+    "docs/howto/action_chunks.md": (("duration=4.0", "duration=1.0"),),
     "docs/howto/compare.md": (("seeds=2,", "seeds=1,"),),
     "docs/howto/policies.md": (("duration=4.0", "duration=1.0"), ("duration=2.0", "duration=1.0")),
     "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),

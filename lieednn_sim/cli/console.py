@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 from rich.console import Console
@@ -18,7 +19,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
-from lieednn_sim.network import ComponentwiseNetwork
+
+if TYPE_CHECKING:
+    from lieednn_sim.network import ComponentwiseNetwork
 
 
 class _Console(Console):

@@ -9,16 +9,11 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.budget import check_time, one_blas_thread
 from lieednn_sim.errors import InputError
+from lieednn_sim.learning import sensitivity
 from lieednn_sim.learning.manifold import GroupWeights, Network, QuaternionWeights, SE3Weights, WeightManifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.riemannian import RiemannianTraining
-from lieednn_sim.learning.sensitivity import (
-    FlatEquilibrium,
-    SensitivityMatrix,
-    gauss_newton_direction,
-    strength_gradient,
-    weight_gradient,
-)
+from lieednn_sim.learning.sensitivity import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.training import Iterate, StopReason, Training, TrainingProblem, TrainingResult
 from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.network.componentwise import as_activation
@@ -159,11 +154,9 @@ class ProjectedTraining(Training[TrainingOptions]):
     def _step(self, now: Iterate) -> tuple[Iterate, bool]:
         """One epoch of Algorithm 1 without the projection, and whether its stop test passed as printed."""
         check_time()
-        options, ratio = self.options, self.ratio
-        equilibrium = now.equilibrium
+        options, ratio, equilibrium, rate = self.options, self.ratio, now.equilibrium, now.rate
         delta = equilibrium.x - self.goal
         error = math.sqrt(delta.dot(delta))
-        rate = now.rate
         if options.step_control == "adaptive":
             factor = options.grow if error < now.error else options.shrink
             rate = min(max(rate * factor, options.min_rate), options.max_rate)
@@ -177,14 +170,14 @@ class ProjectedTraining(Training[TrainingOptions]):
             if nearby.singular:
                 return now._replace(equilibrium=equilibrium._replace(success=False)), False
             if options.direction == "gradient":
-                direction = weight_gradient(nearby.solve_transposed(delta), equilibrium.output, ratio)
+                direction = sensitivity.weight_gradient(nearby.solve_transposed(delta), equilibrium.output, ratio)
                 if options.loss == "norm":
                     direction /= error
             else:
-                direction = gauss_newton_direction(nearby.matrix, equilibrium.output, delta, ratio)
+                direction = sensitivity.gauss_newton_direction(nearby.matrix, equilibrium.output, delta, ratio)
             weight = weight - rate * direction
             if options.learn_alpha and options.projection not in ("scaled", "none"):
-                change = strength_gradient(direction, now.point.adjoints)
+                change = sensitivity.strength_gradient(direction, now.point.adjoints)
                 if options.direction == "gauss-newton":
                     change /= np.einsum("ijab,ijab->ij", now.point.adjoints, now.point.adjoints)
                 alpha = alpha - rate * change

@@ -66,7 +66,8 @@ def test_a_slide_without_a_spring_rests_nowhere():
 def test_another_load_weighs_and_hangs_as_asked_for():
     arm = gantries.gantry(damping=3.0)
     heavy, long = with_load(arm, mass=1.2), with_load(arm, length=1.5)
-    assert heavy.model.body_mass[2] == pytest.approx(6.0)
+    assert heavy.model.body_mass[1:].tolist() == [100.0, pytest.approx(6.0)]
+    np.testing.assert_allclose(heavy.model.body_inertia[1:], np.array([[1.0], [1.2]]) * arm.model.body_inertia[1:])
     assert modes(heavy)[0, 1] == pytest.approx(modes(arm)[0, 1] / 1.2, rel=1e-4)
     assert modes(long)[0, 0] == pytest.approx(np.sqrt(GRAVITY / 3.0), rel=1e-5)
     assert long.model.site("load").pos[2] == pytest.approx(-3.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from scipy.optimize import root
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
-from lieednn_sim.learning.manifold import block_view
+from lieednn_sim.learning.algorithms import ProjectedTraining
+from lieednn_sim.learning.manifold import SE3Weights, block_view
 from lieednn_sim.learning.sensitivity import EquilibriumSolver
+from lieednn_sim.learning.training import TrainingProblem
 from lieednn_sim.lie import adjoint, project_to_adjoint
 from lieednn_sim.theory import group
 
@@ -82,6 +85,38 @@ def test_history_tells_what_happened():
     weight = train(goal, TrainingOptions(max_epochs=60), seed=0).weight
     assert history.one_norm[-1] == pytest.approx(np.linalg.norm(weight, 1))
     assert history.infinity_norm[-1] == pytest.approx(np.linalg.norm(weight, np.inf))
+
+
+def test_rates_grow_and_shrink_within_their_bounds():
+    least, most = 0.047, 0.052
+    options = TrainingOptions(max_epochs=40, initial_rate=0.05, min_rate=least, max_rate=most)
+    history, rate = train(target(5), options, seed=0).history, 0.05
+    for error, before, found in zip(history.error[:-1], [np.inf, *history.error], history.rate[:-1], strict=False):
+        rate = min(max(rate * (1.02 if error < before else 0.9), least), most)
+        assert found == pytest.approx(rate, rel=1e-12)
+    assert {least, most} < set(history.rate)
+
+
+@pytest.mark.parametrize("direction", ["gradient", "gauss-newton"])
+def test_strengths_change_by_their_part_of_the_step(direction):
+    """A slope along the block of a unit strength; of the step itself, what is nearest to it along that block."""
+    options = TrainingOptions(direction=direction)
+    training = ProjectedTraining(TrainingProblem(target(0), target(1), 1.0, 1.0, "tanh", SE3Weights(), 0), options)
+    now = training.initial(training.problem.initial_weight(0))
+    then, _ = training._step(now)
+    along = np.einsum("ijab,ijab->ij", block_view(now.weight - then.weight, 6), now.point.adjoints)
+    size = (now.point.adjoints**2).sum(axis=(2, 3)) if direction == "gauss-newton" else 1.0
+    np.testing.assert_allclose(now.alpha - then.alpha, along / size, rtol=1e-9)
+
+
+def test_the_printed_algorithm_stops_where_every_coordinate_is_near():
+    options = TrainingOptions.literal(projection="none", equilibrium="newton", period=1, tolerance=0.1)
+    result = train(target(0, 2), options, seed=0)
+    near = np.abs(result.history.equilibrium - target(0, 2)).max(axis=(1, 2)) < 0.1
+    assert result.reason is StopReason.CONVERGED
+    # It makes one more step.
+    assert near.argmax() == result.epochs - 1
+    assert result.history.error[near.argmax()] > 0.1
 
 
 def test_literal_is_algorithm_1_transcribed():
@@ -175,7 +210,27 @@ def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
     vanished = TrainingOptions.tracked(max_jump=1e-9, restarts=0)
     result = train(target(0), vanished, seed=0)
     assert result.reason is StopReason.STEP_VANISHED
-    assert result.message.startswith("step vanished after ")
+    assert result.message.startswith("step vanished after 10 epochs: ")  # of half the rate each, from 1 to below 1e-3
+
+
+def test_it_stops_where_the_equilibrium_bifurcates_and_is_not_content_with_one_that_repels(monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(EquilibriumSolver, "sensitivity", lambda *_: SimpleNamespace(singular=True))
+        assert train(target(0), TrainingOptions(), seed=0).reason is StopReason.LOST_EQUILIBRIUM
+    monkeypatch.setattr(ProjectedTraining, "stable", lambda *_: False)
+    options = TrainingOptions.tracked(stability_interval=10**6, restarts=0)
+    assert train(target(0), options, seed=0).reason is StopReason.UNSTABLE
+
+
+def test_a_trial_that_loses_its_equilibrium_is_repeated_and_the_network_not_run(monkeypatch):
+    newton = EquilibriumSolver.newton
+
+    def lost(self, weight, x, nearby=None, **options):
+        return newton(self, weight, x, nearby, **options)._replace(success=nearby is None)
+
+    monkeypatch.setattr(EquilibriumSolver, "newton", lost)
+    monkeypatch.setattr(EquilibriumSolver, "settled", None)
+    assert train(target(0), TrainingOptions.tracked(restarts=0), seed=0).reason is StopReason.STEP_VANISHED
 
 
 def test_restarts_are_counted_and_their_epochs_too():

@@ -405,7 +405,9 @@ def test_what_comes_in_the_way_of_a_later_part_is_told(gantry):
     policy.see({"obstacle_ball": [1.0, 1.5, 0.1]})
     assert np.abs(run(policy, 300)).max() < 0.02
     assert [finding.kind for finding in policy.verdict.findings] == ["jump", "contact"]
-    assert (policy.verdict.findings[-1].repaired, policy.counts["contact"]) == (False, 1)
+    found = policy.verdict.findings[-1]
+    assert (found.repaired, policy.counts["contact"]) == (False, 1)
+    assert found.value < found.limit == policy.arm.clearance
     # Where the reference rests, and with it what else the chunk holds.
     assert policy.chunk_time == pytest.approx(0.7)
 

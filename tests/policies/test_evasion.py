@@ -18,6 +18,7 @@ from lieednn_sim.policies import ReplanningOptions, ReplanningPolicy, searching
 from lieednn_sim.policies.searching import aside, found
 from lieednn_sim.policies.surroundings import Surroundings, evasion, path_around
 from lieednn_sim.simulation import Disturbances, MovingObstacle, follow
+from lieednn_sim.studies import study
 from lieednn_sim.studies.study import worker_pool
 
 POLE = "obstacle_pole"
@@ -190,8 +191,9 @@ def test_the_process_ends_with_its_parent_and_runs_no_script(tmp_path):
     assert run.communicate(timeout=60) == ("", None)
 
 
-def test_a_worker_of_a_study_ends_though_its_policy_has_such_a_process():
+def test_a_worker_of_a_study_ends_though_its_policy_has_such_a_process(monkeypatch):
     """Nobody else ends that, and it waits for searches; the block waits for the worker."""
+    monkeypatch.setattr(study, "_prepare_worker", print)  # whose module imports much
     named = "aside(Arm.load('telescopic_pr'), getattr, 'name').result()"
     known = "from lieednn_sim.arm import Arm; from lieednn_sim.policies.searching import aside"
     with worker_pool(1) as pool:

@@ -299,6 +299,32 @@ def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
             assert bool(status & AT_REST) == (np.abs(sent.qd).max() <= 1e-9 and brake.message == "has ended")
 
 
+@compiled
+def test_joints_that_come_to_a_limit_too_fast_brake_as_in_the_loop(tmp_path):
+    """From random states near limits; policies, which brake in time by themselves, seldom lead there."""
+    arm, rng = Arm.load("telescopic_pr"), np.random.default_rng(0)
+    policy = make_policy("linear-attractor", arm, "home", rate=100)
+    n, folder = arm.n_joints, policy.to_c(tmp_path)
+    source = folder / "policy.c"
+    source.write_text(
+        f"{source.read_text()}void go(policy *p, const double *q, const double *qd) {{ follow(p, q, qd); }}\n"
+    )
+    code, memory = library(folder), np.zeros(100_000)
+    code.policy_start(address(memory), address(policy.q))
+    sent, v = LimitedReference(arm, policy.q, 0.01), arm.velocity_limits
+    for _ in range(300):
+        side = rng.integers(2, size=n)
+        limit, way = arm.position_limits[np.arange(n), side], 2.0 * side - 1.0
+        # So slowly at the limit itself that they can turn back at once.
+        speed = np.minimum(v, rng.choice([0.02, 10.0]) * arm.acceleration_limits) * rng.random(n)
+        sent.q, sent.qd = limit - way * (speed * rng.choice([0.01, 1.0], n) * rng.random(n)), way * speed
+        memory[: 2 * n] = *sent.q, *sent.qd
+        wished = limit + way, way * v
+        sent.towards(*wished)
+        code.go(address(memory), *map(address, wished))
+        np.testing.assert_allclose(memory[: 2 * n], [*sent.q, *sent.qd], rtol=0.0, atol=1e-9)
+
+
 def test_what_has_no_c_code_is_refused(tmp_path):
     arm = Arm.load("telescopic_pr")
     with pytest.raises(InputError, match="a ReplanningPolicy has no C code, only a NetworkPolicy has"):
