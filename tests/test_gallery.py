@@ -20,7 +20,7 @@ def test_example_with_a_kept_page(page: Path) -> None:
     compile(text, page.stem, "exec")
     assert f'src="../../_static/kept/{page.name}"' in text
     assert f"sphinx_gallery_thumbnail_path = '_static/kept/{page.stem}.jpg'" in text
-    assert "by hand: on " in text
+    assert "The page was made on " in text
     assert f"<../../_static/kept/{page.stem}.license.txt>" in text
     assert page.with_suffix(".license.txt").exists()
     assert page.stat().st_size < 3e6

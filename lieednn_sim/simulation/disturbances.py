@@ -135,13 +135,6 @@ class Disturbances:
         """What loads the arm without the controller's knowledge, in words; loads can hold a joint off its target."""
         return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
 
-    def late(self, end: float, timestep: float) -> str:
-        """The message about a push that begins at or after the ``end`` of a run [s]; empty without one."""
-        # No step begins at the end; times are rounded to the nearest step.
-        push = next((push for push in self.pushes if push.start >= end - 0.5 * timestep), None)
-        at = push and f"the push on {push.body!r} at {push.start:g} s"
-        return f"{at} would begin when the run is over, at {end:g} s" if at else ""
-
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
         """The inverse of `dataclasses.asdict`; raises InputError for malformed values."""
@@ -156,9 +149,17 @@ class Disturbances:
 def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
     """The given disturbances, or none; `InputError` for a push that begins after the ``end`` of a run [s]."""
     given = Disturbances() if disturbances is None else disturbances
-    if late := given.late(end, timestep):
+    if late := late_push(end, timestep, given):
         raise InputError(late)
     return given
+
+
+def late_push(end: float, timestep: float, disturbances: Disturbances) -> str:
+    """The message about a push that begins at or after the ``end`` of a run [s]; empty without one."""
+    # No step begins at the end; times are rounded to the nearest step.
+    push = next((push for push in disturbances.pushes if push.start >= end - 0.5 * timestep), None)
+    at = push and f"the push on {push.body!r} at {push.start:g} s"
+    return f"{at} would begin when the run is over, at {end:g} s" if at else ""
 
 
 def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:

@@ -24,7 +24,7 @@ from lieednn_sim.planning.steps import Actuate, Gripping
 from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
-from lieednn_sim.simulation.disturbances import Disturbances, before
+from lieednn_sim.simulation.disturbances import Disturbances, before, late_push
 from lieednn_sim.simulation.log import Channel, ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import SLIP, Rollout
@@ -191,7 +191,7 @@ def simulate(
         raise
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
-        if said := changes.late((len(seen) - 1) * arm.timestep, arm.timestep):
+        if said := late_push((len(seen) - 1) * arm.timestep, arm.timestep, changes):
             warnings.warn(said, stacklevel=3)  # past the wrapper that checks arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 

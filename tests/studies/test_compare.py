@@ -72,7 +72,7 @@ def test_only_motions_of_certified_networks_have_a_tube(tmp_path):
     table.add([row for rows in made for row in rows])
     write_summary(tmp_path / "s.md", table)
     text = (tmp_path / "s.md").read_text(encoding="utf-8")
-    assert "since nothing is proved about how the rest would go on" in text
+    assert "nothing is proved about how other motions would go on" in text
     motions = text[text.index("## Motions") : text.index("## Tracking")]
     cells = {line.split(" | ")[2]: line.split(" | ")[-1] for line in motions.splitlines() if "telescopic_pr" in line}
     assert cells["minimum-jerk"] == "- |"
