@@ -84,9 +84,9 @@ class ClosedLoops:
                 row[:] = np.nan
 
     def _interpolated(self, rows: Floats) -> tuple[Floats, float]:
-        """Rows ``(S, nq)`` near the solutions along a path, interpolated from every eighth, and the gap of these.
+        """Rows ``(S, nq)`` near the solutions along a path, from those of every eighth, and how far these are apart.
 
-        The distance is zero if the rows are few, too far apart, or have no solutions.
+        It gives the rows and zero if these are few or too far apart, or have no solutions.
         """
         some, given = np.append(np.arange(0, len(rows) - 1, 8), len(rows) - 1), self._residuals.given
         few = rows[some if len(some) >= 8 else []]

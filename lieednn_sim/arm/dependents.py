@@ -211,7 +211,7 @@ class Dependents:
 def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:
     """The chosen joints, without those that equalities make followers of other chosen ones.
 
-    Of several that follow a joint that is not chosen, such as stages of a telescope a drum, the first one is kept.
+    Of several that follow a joint not chosen, such as telescope stages that a drum drives, the first one is kept.
     """
     leaders = dict(tied_joints(model))
     result, led = [], set[int]()

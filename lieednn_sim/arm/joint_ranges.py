@@ -16,7 +16,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
-_DEFAULT = 0.95 * np.pi  # range of a hinge or ball joint that has none
+_DEFAULT = 0.95 * np.pi  # largest angle from the reference of a hinge or ball joint without a range
 _ENDLESS = 1e3  # half a range from which on it counts as none [rad, m]
 
 
@@ -38,10 +38,10 @@ def joint_ranges(
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint of links' ``groups``; new and narrowed ones are added to ``notes``.
 
-    A coordinate may move as far as all joints that it moves allow. A hinge or ball joint without a range gets 0.95 pi
-    to either side of its reference. A hinge alone in its link keeps its range, whatever it is; without one it may make
-    a turn in each direction from the positions ``around`` ``(nq,)``. Other hinges, and ball joints, are narrowed to
-    0.99 pi, where the logarithm is still unique. ``within`` are further bounds ``(2,)`` of some joints, from joints
+    A coordinate may move as far as all joints that it moves allow. A hinge alone in its link keeps its range, whatever
+    it is; without one it may make a turn in each direction from the positions ``around`` ``(nq,)``. Other hinges, and
+    ball joints, are narrowed to 0.99 pi, where the logarithm is still unique; without a range they get 0.95 pi to
+    either side of their reference. ``within`` are further bounds ``(2,)`` of some joints, from joints
     elsewhere that follow them. `InputError` if a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]

@@ -1,4 +1,4 @@
-"""Limits other than those of positions: rates, and the ranges of what else an arm moves.
+"""Limits besides the coordinates' position limits: rates, and the ranges of what else an arm moves.
 
 Limits of rates are a model's custom numerics, those that the caller gives, or accelerations that force limits allow.
 """

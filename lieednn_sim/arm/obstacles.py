@@ -26,7 +26,7 @@ from lieednn_sim.validation import TURN, as_choice, as_floats, as_path, as_posit
 from lieednn_sim.values import Floats, StrPath
 
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
-# Largest number of obstacles in a list; and the prefix of goals.
+# Largest number of entries in a list of obstacles or of goals; and the prefix of goals.
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
@@ -118,7 +118,7 @@ def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjS
     holder = unused(PREFIX + label, {PREFIX + body.name for body in obstacles.bodies})
     body = spec.worldbody.add_body(name=holder)
     spec.attach(obstacles, prefix=PREFIX, frame=body.add_frame())
-    # MuJoCo keeps all pairs of bodies at once; its own default is too small for 1700.
+    # MuJoCo keeps all pairs of bodies at once; its own default is too small for 1700 bodies.
     if len(spec.bodies) > 500:
         spec.memory = max(spec.memory, 2**24 + 5 * len(spec.bodies) ** 2)
 

@@ -91,7 +91,7 @@ class SerialArm:
 
     @property
     def reach(self) -> float:
-        """Upper bound of distances of link frames from the base [m]: lengths between frames plus travel of slides."""
+        """About the largest distance of link frames from the base [m]: lengths between frames plus travel of slides."""
         lengths = np.linalg.norm([self.mounts.translation, self.tips.translation], axis=-1)
         slides = np.array([unit == "m" for unit in self.space.units])
         return float(lengths.sum() + np.abs(self.position_limits[slides]).max(axis=1).sum())

@@ -32,12 +32,12 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     """Reasons why joints do not end at their targets, for the joint that matters most first, and then remedies.
 
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
-    feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error that decays as exp(-r
-    t), has v / r to go. Arms led by mocap bodies instead of servos have no such causes. No servo is at fault if the
-    reference itself ends elsewhere, such as that of a policy that has not arrived.
+    feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error that decays as
+    exp(-r t), has v / r to go. Arms led by mocap bodies instead of servos have no such causes. No servo is at fault if
+    the reference itself ends elsewhere, such as that of a policy that has not arrived.
 
-    A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst; first,
-    whether links end elsewhere than the joints have them, as on a base that falls.
+    A joint is reported if its error alone displaces a link too far to count as settled. Links that end off where the
+    joints put them, as on a base that falls, are reported first; if nothing is reported so, the worst joint is.
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
     if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque", "feedback-linearisation"):

@@ -65,7 +65,7 @@ class Recovery:
     """The effect of a push, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_s`` is the time from its end until all frames stay within 1 mm and 0.1 deg of these, None if never.
+    ``recovery_s`` is the time from the push's end until all frames stay within 1 mm and 0.1 deg of theirs, else None.
     """
 
     body: str

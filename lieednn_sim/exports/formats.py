@@ -155,7 +155,7 @@ def record(
         scene: obstacles: a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
         planner: planner of the expert; by default the arm's `default_planner`.
-        seed: seed of the first episode; later episodes have the next seeds.
+        seed: seed of the first attempt; each further one has the next seed, and attempts that fail are left out.
 
     Raises:
         InputError: an argument is malformed.

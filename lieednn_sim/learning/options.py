@@ -67,7 +67,7 @@ class LearningOptions:
 
 @dataclass(frozen=True)
 class TrainingOptions(LearningOptions):
-    """Options of projective learning, beside `LearningOptions`; the defaults are the paper's Algorithm 1, repaired.
+    """Options of projective learning, besides `LearningOptions`; the defaults are the paper's Algorithm 1, repaired.
 
     Attributes:
         loss: ``"squared"``, E^2/2, or ``"norm"``, the printed E; the Gauss-Newton direction is the same for both.
@@ -138,7 +138,7 @@ class TrainingOptions(LearningOptions):
 
 @dataclass(frozen=True)
 class RiemannianOptions(LearningOptions):
-    """Options of learning on the manifold, beside `LearningOptions`.
+    """Options of learning on the manifold, besides `LearningOptions`.
 
     A step is rejected, and the rate shrinks, where the equilibrium is lost, jumps or is unstable; with the gradient,
     also where E does not fall. A rate of 1 is the full Gauss-Newton step.

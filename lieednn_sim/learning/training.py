@@ -168,7 +168,7 @@ class Training(ABC, Generic[_Options]):
     def advance(self, before: Iterate, end: int) -> tuple[Iterate, StopReason | None]:
         """The next iterate, and the reason if the start ends there, or None; it must end at the epoch ``end``.
 
-        The history must then hold the rows of this iterate and of those that led to it, and no others.
+        The history must then hold the rows of the iterates that led to this one, and no others.
         """
 
     @abstractmethod

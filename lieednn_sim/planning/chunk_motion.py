@@ -202,7 +202,7 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
     """The transition from a state onto a curve, as fast as the arm's limits allow.
 
     From ``now``, ``(3, n)`` joint coordinates, rates and accelerations, it goes over to the curve, beginning at the
-    curve's time ``begin`` [s], within at least ``fade`` [s]; it follows the curve for ``most`` [s] of its time, and
+    curve's time ``begin`` [s], in at least ``fade`` [s]; it follows the curve for ``most`` [s] of its time, and
     ends at rest. If the state is so far behind that the curve would end before the fade, the curve is joined earlier,
     at the earliest where it is nearest to the state; if even that is too late, it is slowed down. Positions, velocities
     and accelerations are checked at samples; `PlanError` if no transition tried keeps the limits.

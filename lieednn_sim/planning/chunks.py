@@ -61,8 +61,8 @@ def read(
 ) -> tuple[Floats, float, float]:
     """The targets ``(H, n)``, the time of the first one, and that between two; raises `RefusedError`.
 
-    If the chunk is a `RigidTransform` of poses, each becomes the joint target nearest to the one before, the first one
-    that nearest to ``near`` ``(n,)``. The chunk must not begin before the ``newest`` one, nor be over ``now`` [s].
+    If the chunk is a `RigidTransform` of poses, each becomes the joint target nearest to the one before; the first,
+    the one nearest to ``near`` ``(n,)``. The chunk must not begin before the ``newest`` one, nor be over ``now`` [s].
     """
     kind, n = "shape", arm.n_joints
     try:

@@ -105,7 +105,7 @@ class GuideOptimisation:
         self._thirds = make_interp_spline(even, np.eye(len(even)), SPLINE_DEGREE)(u, nu=3) * np.sqrt(share / 720.0)
         # The bound on the length is divided by the speed, which is zero at rest.
         speed = np.maximum(minimum_jerk_law(u)[1], 0.02)[:, None]
-        # A unit displacement has a squared jerk of 720. The unit is the straight way, or 0.1 of the joint space.
+        # A unit displacement has a squared jerk of 720. The unit is the straight way, at least 0.1 of the joint space.
         unit = max(float(np.linalg.norm(target - start)), 0.1 * math.sqrt(arm.n_joints))
         self._quadratic = (jerk.T @ (jerk * share) / 720.0 + rate.T @ (rate * share / speed)) / unit**2
         self._hessian = self._quadratic[self._free, self._free]

@@ -154,7 +154,7 @@ def plan(
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options belong to another planner, start or target
-            cannot be used, or ``settle`` is given but nothing in the model swings.
+            cannot be used, or ``settle`` is given but nothing in the model swings or bends.
         NoSolutionError: no goal can be reached.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.

@@ -154,7 +154,7 @@ class Plan:
 
     @cached_property
     def load_clearance(self) -> Clearance | None:
-        """The `clearance` of a hanging load as it swings, by a linear model; None where nothing hangs."""
+        """The `clearance` of a hanging load as it swings, by a linear model; None where nothing swings."""
         return load_clearance(self._of_arm(), self.motion)
 
     @property

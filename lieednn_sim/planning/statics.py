@@ -12,7 +12,7 @@ from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_fricti
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats
 
-_NEAR = 0.7  # fraction of a limit above which more samples are checked; none of 288 fast motions had 1.25 times as much
+_NEAR = 0.7  # of a limit; above it more samples are checked, between which 288 fast motions had < 1.25 times as much
 _TOLERANCE = 1e-6  # relative excess of a force over its limit that is allowed
 _RESTING = 1e-6  # rate below which dry friction holds a joint rather than brakes it [rad/s, m/s]
 

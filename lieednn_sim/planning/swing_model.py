@@ -85,8 +85,8 @@ class SwingModel:
     def swing(self, law: CubicHermiteSpline, step: float, after: float) -> tuple[Floats, Floats, Floats]:
         """How the first load swings while the arm follows a law of time, and for some time after it [s].
 
-        The linear model's motion is corrected twice, by its response to the forces that MuJoCo's inverse dynamics lacks
-        for that motion. The error left is of second order in the second correction, its estimate.
+        The linear model's motion is corrected twice, by its response to the forces that it lacks by MuJoCo's inverse
+        dynamics. The error left is of second order in the second correction, its estimate.
 
         Returns:
             Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest last correction up to then

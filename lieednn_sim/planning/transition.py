@@ -71,7 +71,7 @@ class Straight:
         return np.asarray(_powers(t) @ (_DERIVATIVES[nu::3] @ self.c[::-1, 0]))
 
 
-# A motion from rest to rest; a piecewise polynomial is a path that was searched for.
+# A motion from rest to rest; a piecewise polynomial is a planned motion, given or searched for (`along`).
 BaseMotion: TypeAlias = PPoly | Straight
 
 
@@ -164,7 +164,7 @@ def transition(
     differences[:2] -= base.c[:-3:-1, 0]
     refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
-    # After the fade all transitions are on the base's path: what blocks this after a share of it is looked up once.
+    # After the fade all transitions are on the base's path, so its rest after each share is tested only once.
     known: dict[float, str | None] = {_SHARES[0]: None}
 
     def blocked_after(share: float) -> str | None:
@@ -198,7 +198,7 @@ def transition(
 
 
 def _evenly(q: Floats) -> Floats:
-    """Configurations along ``(K, n)``, evenly as far apart as every second one of these is at most."""
+    """Evenly spaced configurations along ``(K, n)``, apart by at most twice the largest step between these."""
     steps = q[1:] - q[:-1]
     ways = np.sqrt(np.vecdot(steps, steps))
     way = np.add.accumulate(ways)

@@ -76,7 +76,7 @@ class JointBounds:
 def fastest(left: Floats, a: Floats, h: float) -> Floats:
     """Largest velocities at the end of a step h [s] from which joints can brake before a limit by accelerations ``a``.
 
-    At half of the step the joints are ``left`` away from the limit; joints beyond it return.
+    The joints are ``left`` away from the limit if they stop within the step; joints beyond it return.
     """
     left = np.minimum(left, 1e6)
     root = np.sqrt(np.maximum(0.25 * h**2 + 2.0 * left / a, 0.0))

@@ -90,7 +90,7 @@ def control_loop(
     reported, not raised. Only if `write` fails may the last reference not be at rest.
 
     Args:
-        read: called once a period; returns measured joints ``(n,)`` or, but for the first time, None if there are none.
+        read: called once a period; returns measured joints ``(n,)``, or None if there are none, but not at first.
         write: called with the reference q and qd ``(n,)`` for the end of the period; if it raises, it is called with
             the same ones in the next period.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; if
@@ -120,7 +120,7 @@ def control_loop(
         if not isinstance(policy, MotionTracker) or policy.motion is None:
             raise InputError(f"stop_outside needs a policy that plays a plan, 'tracker', got {type(policy).__name__}")
         monitor = ClearanceMonitor.of(arm, policy.motion)
-    # After three steps, the loop does nothing for the first time.
+    # Three steps are made before the loop, since what is done for the first time takes longer.
     for _ in range(3):
         policy.reset(first)
         policy.step(first, goal)

@@ -147,7 +147,7 @@ class Surroundings:
         return distance[near], pairs[near]
 
     def _pairs_of(self, names: set[str]) -> mujoco.MjModel:
-        """The arm's model, in which only its moving parts and the bodies of these names collide."""
+        """The arm's model, in which its moving parts collide with the bodies of these names, and with nothing else."""
         model = copy.deepcopy(self._model)
         colliding, parts = colliding_geoms(model), moving_geoms(model)
         bodies = {fixed_body(model, name) for name in names}

@@ -84,7 +84,7 @@ def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
-    and ``detail`` says why. If unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW, and then none.
+    and ``detail`` says why. If unset: EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW; and at last ``disable``.
     """
     try:
         inherited = Backend(**json.loads(os.environ[_INHERITED]))
@@ -135,7 +135,7 @@ def require() -> Backend:
     """The OpenGL backend in use, which is known to render.
 
     Raises:
-        RenderingUnavailableError: no backend renders; the message says what to install or unset.
+        RenderingUnavailableError: the chosen backend cannot render; the message says what to install or unset.
     """
     backend = configure()
     if not backend.renders:

@@ -147,7 +147,7 @@ class Disturbances:
 
 
 def before(end: float, timestep: float, disturbances: Disturbances | None) -> Disturbances:
-    """The given disturbances, or none; `InputError` for a push that begins after the ``end`` of a run [s]."""
+    """The given disturbances, or none; `InputError` for a push that begins at or after the ``end`` of a run [s]."""
     given = Disturbances() if disturbances is None else disturbances
     if late := late_push(end, timestep, given):
         raise InputError(late)

@@ -109,7 +109,7 @@ def simulate_many(
     workers = min(as_workers("threads", os.cpu_count() or 1 if threads is None else threads), len(chosen))
 
     def work(first: int) -> None:
-        """Simulate every so many motions with one controller and plant, since making these takes a tenth of a run."""
+        """Simulate every ``workers``-th motion from ``first`` on with one controller and plant: making them is slow."""
         reference = as_reference(arm, chosen[first], total, None)
         driver, simulation = make_controlled(arm, controller, reference, changes)
         for index in range(first, len(chosen), workers):

@@ -34,7 +34,7 @@ class Simulation:
         disturbances: pushes, sensor noise and moving obstacles; without ``plant``, also the changes of `make_plant`.
 
     Raises:
-        InputError: a pushed body does not exist, or an obstacle has joints, carries an arm, or moves in two ways.
+        InputError: a pushed body or obstacle does not exist, or an obstacle has joints, carries an arm, or moves twice.
 
     Attributes:
         model: the plant.

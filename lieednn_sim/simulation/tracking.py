@@ -209,7 +209,7 @@ def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Refer
 
 
 class _Play:
-    """The steps of a sequence in a simulation; ``begun`` has their first times [s] and names, ``end`` is the end."""
+    """The steps of a sequence in a simulation: ``begun`` has the time [s] and name of each; all are over at ``end``."""
 
     def __init__(self, sequence: PlanSequence, simulation: Simulation, rest: int) -> None:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest

@@ -1,15 +1,15 @@
 """How far joints can be off a motion under feedback linearisation, if masses are not as the controller believes.
 
-The controller exerts M' (a + w) + h' with the inertia M' and the bias h' of its own model, and the feedback w = 2 f e'
-+ f^2 e with the natural frequency f, where e is the planned position minus that of the joints and a the planned
-acceleration. The plant has M = M' + dM and h = h' + dh. So
+The controller exerts M' (a + w) + h' with the inertia M' and the bias h' of its own model, and the feedback
+w = 2 f e' + f^2 e with the natural frequency f, where e is the planned position minus that of the joints and a the
+planned acceleration. The plant has M = M' + dM and h = h' + dh. So
 
     e'' + 2 f e' + f^2 e = d,    d = A (a + w) + M^-1 dh,    A = M^-1 dM,
 
-in each coordinate. Let D be the largest |d|. From rest, |e| <= D / f^2, |e'| <= 2 / (exp(1) f) D and |w| <= (1 + 2 /
-exp(2)) D: these factors are the integrals of the impulse responses' magnitudes. Hence D <= |A a + M^-1 dh| + (1 + 2 /
-exp(2)) |A| D, entry by entry, which bounds D if the spectral radius of the last factor is below one (a small-gain
-condition). A and dh are evaluated where the joints may be by the bound that results.
+in each coordinate. Let D be the largest |d|, and c = 1 + 2 / exp(2). From rest, |e| <= D / f^2,
+|e'| <= 2 / (exp(1) f) D and |w| <= c D: these are the integrals of the impulse responses' magnitudes. Hence, by entries,
+D <= |A a + M^-1 dh| + c |A| D, which bounds D if the spectral radius of c |A| is below one (a small-gain condition).
+A and dh are evaluated where the joints may be by the bound that results.
 """
 
 from __future__ import annotations

@@ -215,7 +215,7 @@ def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, dat
 
 
 def _exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int) -> None:
-    """Exclude pairs that MuJoCo filters as parent and child, but not once the parent is a part of the world."""
+    """Exclude pairs that MuJoCo filters as parent and child, but not any more once the parent is fixed to the world."""
     weld, solid = model.body_weldid, np.unique(model.geom_bodyid[colliding_geoms(model)]).tolist()
     known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
     base = [body for body in solid if weld[body] == root]

@@ -165,7 +165,7 @@ class _Overlaps:
 
 
 def _nearby(arm: ModelArm, home: Floats, samples: Floats) -> Iterator[Floats]:
-    """Configurations inside the limits, nearest to home first: one joint moved, then on lines to random samples."""
+    """Configurations well off the limits, nearest to home first: one joint moved, then on lines to random samples."""
     low, high = arm.position_limits.T
     middle = 0.5 * (low + high)
     scalar = [k for k in range(arm.n_joints) if k not in arm.space.balls]

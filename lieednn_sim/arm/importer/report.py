@@ -23,7 +23,7 @@ class ImportOptions(TypedDict, total=False):
         base: body or site of the base frame. Default: the parent of the first moving body of link 1.
         keyframe: configuration of the robot at home. Default: home, else the first keyframe, else the reference
             position. Keyframes without positions, and with controls for another configuration, do not count.
-        home: positions of joints by name [rad, m] that replace those of the keyframe, which a URDF does not have.
+        home: positions of joints by name [rad, m] that replace the keyframe's, or in a URDF the reference position's.
         limits: velocity, acceleration and jerk of coordinates by name [rad or m, s]; they take precedence over the
             model's.
         servos: keep the model's actuators and add servos for undriven joints (keep), design new ones for the whole arm

@@ -192,7 +192,7 @@ class CodeSpread:
         return root @ root.swapaxes(1, 2)
 
     def gain(self, seen: Floats, noise: Floats) -> Floats:
-        """Gain ``(6M, o)`` from o observed coordinates of a motion from the mean start to its codes.
+        """Gain ``(6M, o)`` from deviations of o observed coordinates to codes, for motions from the mean start.
 
         ``seen`` ``(o, 6M)`` are their derivatives in the codes, ``noise`` ``(o,)`` their standard deviations.
         """

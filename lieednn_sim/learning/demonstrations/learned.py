@@ -37,7 +37,7 @@ class LearnedMotion:
         tau: ``(K,)`` network times at these phases.
         dof: 2, 3 or 6.
         goal: mean world pose at which the demonstrations end.
-        start: ``(6,)`` mean twist relative to the goal at which they begin.
+        start: ``(6,)`` mean twist at which the demonstrations begin, relative to the goal.
     """
 
     network: LieEDNN
@@ -54,7 +54,7 @@ class LearnedMotion:
 
     @classmethod
     def load(cls, directory: StrPath) -> LearnedMotion:
-        """Read a directory that `lieednn-sim learn` wrote, but no spread; `FileError` if it holds no such motion."""
+        """Read a motion, without a spread, from a directory of `lieednn-sim learn`; `FileError` if it holds none."""
         path = as_path("the directory of a learned motion", directory) / "report.json"
         if not io.is_file(path):
             raise FileError(f"{path.parent} holds no learned motion (no report.json), as 'lieednn-sim learn' writes")

@@ -44,7 +44,7 @@ class Layout:
 def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and their times ``(K,)`` from 0 [s], which may be the first column of a table without names.
 
-    `InputError` if the table does not fit the layout, or its times do not increase.
+    `InputError` if the table does not fit the layout or has one row, or has no increasing times of its rows.
     """
     table = as_floats(source, samples, ("K", "D"))
     count, columns = table.shape

@@ -27,8 +27,8 @@ class FeedbackLinearisation(Controller):
     """Forces B^T (M a + bias - passive) by the arm's own actuators, within their limits.
 
     B has the velocities of the model's dofs at unit rates of the arm's coordinates. Position servos add their own
-    feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. For other
-    actuators a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Joints without an actuator get
+    feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. Where no
+    servo acts, a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Joints without an actuator get
     applied forces, without a limit. All other actuators keep their controls. The controller knows the arm and what is
     attached to it, but not contacts, what the hand holds, or other masses of the plant. Raises as `Actuators`.
     """
@@ -152,8 +152,8 @@ class LoopLinearisation(Controller):
 
     B(q) has the velocities of the model's dofs at unit rates of the coordinates, those of loops by the equalities'
     Jacobian at the measured state; so the loops' constraint forces do no work. Position servos hold the lengths that
-    their joints have along the reference, and a is the reference's acceleration; where no servo acts on a coordinate, 2
-    w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz. Raises as `Actuators`.
+    their joints have along the reference, and a is the reference's acceleration; where no servo acts on a coordinate,
+    2 w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz. Raises as `Actuators`.
     """
 
     changes_plant = False

@@ -208,7 +208,7 @@ def with_pairs(
     inputs: Floats,
     others: Floats | None = None,
 ) -> LieEDNN:
-    """A network whose motion depends on its visible start, and target, by the pairs and gains that this needs.
+    """A network whose motion depends on its visible start, and on its target if asked, by added pairs and gains.
 
     Args:
         parameters, clock, network: of the cascade, with rho = 1.

@@ -29,7 +29,7 @@ _SAMPLES = 1000  # samples at which deviations between the network's path and th
 _PIECES, _SMOOTHING = 512, 0.01
 # Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
-_LEAST_DENSITY = 0.1  # the density of switches is the root of the curve's second derivative plus this part everywhere
+_LEAST_DENSITY = 0.1  # switches' density: root of the curve's second derivative + this + this fraction of its mean
 _RIPPLE = 0.03  # ripples shorter than 2 pi times this fraction of the clock count more than deviations
 # Number of instants at which ripples are penalised, nearly even down to where g is this small.
 _INSTANTS, _LEAST_CLOCK = 120, 0.01
