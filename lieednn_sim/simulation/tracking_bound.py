@@ -7,7 +7,7 @@ planned acceleration. The plant has M = M' + dM and h = h' + dh. So
     e'' + 2 f e' + f^2 e = d,    d = A (a + w) + M^-1 dh,    A = M^-1 dM,
 
 in each coordinate. Let D be the largest |d|, and c = 1 + 2 / exp(2). From rest, |e| <= D / f^2,
-|e'| <= 2 / (exp(1) f) D and |w| <= c D: these are the integrals of the impulse responses' magnitudes. Hence, by entries,
+|e'| <= 2 / (exp(1) f) D and |w| <= c D: these are integrals of the impulse responses' magnitudes. Hence, by entries,
 D <= |A a + M^-1 dh| + c |A| D, which bounds D if the spectral radius of c |A| is below one (a small-gain condition).
 A and dh are evaluated where the joints may be by the bound that results.
 """
