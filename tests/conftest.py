@@ -273,6 +273,8 @@ def chromium() -> Iterator[Any]:
         options.add_argument(argument)
     # To draw smooth edges takes a processor longer than all else.
     options.add_argument("--webgl-antialiasing-mode=none")
+    # So does compiling a page's code for speed, which runs for a second or two.
+    options.add_argument("--js-flags=--no-opt")
     # Nor does it connect on a guess: a server that closes waits for who has connected and asks for nothing.
     options.add_experimental_option("prefs", {"net.network_prediction_options": 2})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})

@@ -52,6 +52,7 @@ SHORTER = {
     "docs/howto/compare.md": (("seeds=2,", "seeds=1,"),),
     "docs/howto/policies.md": (("duration=4.0", "duration=1.0"), ("duration=2.0", "duration=1.0")),
     "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
+    "docs/howto/robot_loop.md": (("duration=0.5", "duration=0.05"),),
 }
 COMMANDS = {
     (page, line): None
