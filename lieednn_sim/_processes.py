@@ -59,7 +59,7 @@ class WorkerContext(SpawnContext):
 
     def __init__(self, kind: type[WorkerProcess] = WorkerProcess) -> None:
         super().__init__()
-        self.Process = kind  # type: ignore[misc]
+        self.Process = kind  # type: ignore[misc]  # the base has one kind for all its instances
 
 
 def _begun(kind: type[WorkerProcess], starter: Connection) -> WorkerProcess:

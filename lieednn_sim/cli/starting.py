@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # The built-in part of `signal`, which itself imports other modules first.
-import _signal as signal  # type: ignore[import-not-found]
+import _signal as signal  # type: ignore[import-not-found]  # it has no stubs
 import sys
 
 # Only if this package is the program: the installed command, or `python -m`, whose argv[0] is "-m" during the search.

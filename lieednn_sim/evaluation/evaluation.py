@@ -222,8 +222,10 @@ class Evaluation:
         """Whether the arm ended at its target and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
         touched = f"{self.contacts} contacts at a time, " if self.contacts else ""
-        if why := self.shortfall:
-            return f"fails: {why if why.startswith('hold') else f'{touched}a link ends {off}'}"
+        if self.slip_mm > _LOST:
+            return f"fails: {self.shortfall}"
+        if self.shortfall:
+            return f"fails: {touched}a link ends {off}"
         return f"arrives after {_seconds(self.settling_s)} s, {touched}ends {off}"
 
     @property

@@ -206,8 +206,8 @@ def _check_links(robot: ElementTree.Element, path: Path) -> None:
         if len(ends) != 2:
             continue  # MuJoCo reports it
         child, parent = ends
-        if missing := {child, parent} - links:
-            raise InputError(f"{path}: joint {joint.get('name')!r} is of a link {missing.pop()!r} that is not there")
+        if missing := [end for end in ends if end not in links]:
+            raise InputError(f"{path}: joint {joint.get('name')!r} is of a link {missing[0]!r} that is not there")
         if child in carriers:
             raise InputError(f"{path}: link {child!r} is the child of several joints, a loop; take out all but one")
         carriers[child] = [parent]
