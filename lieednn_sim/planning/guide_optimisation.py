@@ -8,9 +8,10 @@ minimum jerk, and the least distance d from everything on the way, the measure i
 
     log(J + E) + beta log(F) - kappa (log(d) - d_0 / d),
 
-where d counts up to its value at start and target, which no motion exceeds. The measure is minimised by sequential
-quadratic programming: at every step MuJoCo's contacts give the distances of all pairs and their gradients, a quadratic
-program in C and d is solved within a trust region, with a Gauss-Newton model of F, and steps that lower it are kept.
+where d counts up to 70 mm and to its value at start and target, which no motion exceeds. The measure is minimised by
+sequential quadratic programming: at every step MuJoCo's contacts give the distances of all pairs and their gradients, a
+quadratic program in C and d is solved within a trust region, with a Gauss-Newton model of F, and steps that lower the
+measure are kept.
 
 If the end effector is to stay in a region, beta and d_0 are 0, the program also has the region's linearised bounds at a
 few instants, and the measure a penalty for leaving the region. The final motion's samples are projected onto it.
@@ -36,7 +37,8 @@ from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which its term is continued by a steep line, so that contact is left first
 _NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as much as far away
-_EFFECTOR = 0.05  # beta, the weight of the end effector's jerk
+_EFFECTOR = 0.2  # beta, the weight of the end effector's jerk
+_AMPLE = 0.07  # largest clearance that counts [m]; more would cost jerk
 _SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
 # Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
 # takes cubic time. If more are broken, as when whole links are inside obstacles, only the deepest count.
@@ -76,8 +78,8 @@ class GuideOptimisation:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
         self._near = _NEAR if problem.path_constraint is None else 0.0
-        # A reserve of a tenth, since distances between the instants may be less; 0.15 m is ample.
-        self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
+        # A reserve of a tenth, since distances between the instants may be less.
+        self._enough = max(min(1.1 * ends, _AMPLE), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
         self._slopes = ContactSlopes(arm, self._enough + 0.03, own=own)
         count = intervals + SPLINE_DEGREE

@@ -56,7 +56,7 @@ class GuideOptions(PlannerOptions):
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
     margin: float = 0.01
-    spacing: float = field(default=0.06, metadata={"range": (1e-3, 1.0)})
+    spacing: float = field(default=0.15, metadata={"range": (1e-3, 1.0)})
     longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
     shortcuts: int = 20
     intervals: int = field(default=8, metadata={"range": (2, 1000)})
@@ -161,7 +161,7 @@ class _Search:
             if clear:
                 yield measure, name, optimisation, free
                 # No motion costs less than 2, as the straight one does. If a region is kept, any clear motion will do.
-                if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
+                if self.constrained or optimisation.cost(free) <= 1.15 * 2.0:
                     break
 
     def finer(self, free: Floats) -> Motion:
