@@ -157,8 +157,8 @@ class GuideOptimisation:
     def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
         """The measure, the control points, and whether these are usable, after up to so many steps from a guess."""
         kept = self._problem.path_constraint is not None
-        # A rough descent uses half of the instants, and no F. Large steps would leave a region that is kept.
-        every, enough, wider = (1, 1e-3, 1.5) if kept else (2, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
+        # A rough descent uses a third of the instants, and no F. Large steps would leave a region that is kept.
+        every, enough, wider = (1, 1e-3, 1.5) if kept else (3, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
         jerk_of = self._effector_jerk if not (rough or kept) else lambda _: (1.0, np.zeros(1), np.zeros(1))
         distances, jerk = self._distances(free, every), jerk_of(free)
         # The trust region is the largest distance that a joint may move a link [m].
