@@ -37,7 +37,7 @@ from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which its term is continued by a steep line, so that contact is left first
 _NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as much as far away
-_EFFECTOR = 0.2  # beta, the weight of the end effector's jerk
+_EFFECTOR = 0.1  # beta, the weight of the end effector's jerk
 _AMPLE = 0.07  # largest clearance that counts [m]; more would cost jerk
 _SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
 # Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
