@@ -16,7 +16,7 @@ from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, driving, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, least_singular_value
@@ -78,7 +78,7 @@ def read_arm(
     rest, said = home_data(model).qpos if rest is None else rest, list(notes)
     space = read_coordinates(model, chain, rest, lines, sums or {})
     limits = narrow_to_servos(model, rest, space, read_position_limits(model, chain, space, ranges), said)
-    moving = np.abs(actuator_moments(model) @ tangent_basis(space)).max(axis=1, initial=0.0) > 1e-9
+    moving = driving(actuator_moments(model), tangent_basis(space))
     if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
         said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
