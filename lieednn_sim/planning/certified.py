@@ -55,9 +55,6 @@ class CertifiedOptions(CandidateOptions):
         n_first: number of networks to begin with; the others are made only if none of these can be used.
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     # The straightest path first; where it is blocked, others bend more.

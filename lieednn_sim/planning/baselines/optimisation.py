@@ -43,9 +43,6 @@ class OptimisationOptions(PlannerOptions):
         evaluations: largest number of evaluations of the cost in a descent.
         guesses: number of first guesses to descend from.
         drawn: number of bent guesses drawn; the clearest are used.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     margin: float = 0.01
