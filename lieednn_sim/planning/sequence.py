@@ -47,7 +47,7 @@ class SequencePart:
     def __str__(self) -> str:
         if self.plan is None:
             return "controls"
-        return f"{self.plan.planner}: {self.plan.proof}"
+        return f"{self.plan.planner}: {self.plan.certificate}"
 
 
 @frozen

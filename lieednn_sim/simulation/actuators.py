@@ -57,11 +57,8 @@ class Actuators:
         driven: NDArray[np.bool_] = np.asarray(transmission.any(axis=0))
         if np.linalg.matrix_rank(transmission) < (arm.n_joints if complete else driven.sum()):
             bare = ", ".join(repr(name) for name, moved in zip(arm.joint_names, driven, strict=True) if not moved)
-            why = (
-                f"no actuator moves {bare}"
-                if bare and complete
-                else "its actuators cannot move all joints independently"
-            )
+            lacks = f"no actuator moves {bare}" if bare and complete else ""
+            why = lacks or "its actuators cannot move all joints independently"
             raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.

@@ -121,8 +121,8 @@ class Log:
         self._sources: list[tuple[ChannelSource, list[Floats]]] = [
             (source, []) for source in (*sources, simulation.pushes) if source.channel_units
         ]
-        told = [source.own_controls for source in sources if isinstance(source, Controller)]
-        self._own_controls = told[0] if told else lambda controls, *_: controls
+        drivers = (source.own_controls for source in sources if isinstance(source, Controller))
+        self._own_controls = next(drivers, lambda controls, *_: controls)
         names = [name for source, _ in self._sources for name in source.channel_units]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(f"every channel needs a name of its own, there are several of {', '.join(twice)}")
