@@ -124,8 +124,7 @@ def simulate_many(
             ctrl[index] = controls
 
     with QuietWarnings(), ThreadPoolExecutor(workers) as pool:
-        for _ in pool.map(work, range(workers)):
-            pass
+        list(pool.map(work, range(workers)))
     t = arm.timestep * np.arange(total, dtype=float)
     return Rollouts(arm, tuple(motions), t, q, qd, ctrl, dict(sorted(failures.items())), settings)
 
