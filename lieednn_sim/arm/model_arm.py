@@ -215,8 +215,7 @@ class ModelArm(SerialArm):
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Which degrees of freedom ``(nv,)`` move the body with an id; what is carried moves with its carrier."""
         body = as_count("body", body, 0, self.model.nbody - 1)
-        carried = self.grasp is not None and body in self.grasp.bodies
-        mover = self.grasp.carrier if self.grasp is not None and carried else body
+        mover = self.grasp.carrier if self.grasp is not None and body in self.grasp.bodies else body
         return np.isin(self.model.dof_bodyid, ancestry(self.model, mover))
 
     def limit_excess(self, q: Floats) -> Floats:

@@ -148,7 +148,7 @@ def connecting_path(
         # allowed.
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
-        space = SearchSpace(problem, clear, options.spacings[min(attempt, len(options.spacings) - 1)])
+        space = SearchSpace(problem, clear, options.spacings[attempt])
         waypoints = search(space, options, seed)
         return None if waypoints is None else space.corners(waypoints, options.shortcuts)
     finally:
