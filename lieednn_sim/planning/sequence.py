@@ -172,11 +172,10 @@ class _Planned:
                 state.qpos[self._places], state.qvel[self._dofs] = rest, 0.0
                 qpos.append(state.qpos.copy())
                 qvel.append(state.qvel.copy())
-                try:
-                    if gripping.over(state, len(qpos)):
-                        break
-                except LookupError as error:
-                    raise PlanError(f"its event does not come: {error.args[0]}") from None
+                if gripping.over(state, len(qpos)):
+                    break
+                if gripping.late:
+                    raise PlanError(f"its event does not come: {gripping.late}")
         state.qfrc_applied[self._dofs] = applied
         self._add(np.array(qpos), np.array(qvel))
 

@@ -238,13 +238,12 @@ class _Play:
                 # The arm rests, so that the rows of the step are all the same.
                 yield min(part.first + done, part.last - 1)
                 done += 1
-                try:
-                    over = gripping.over(simulation.data, done)
-                except LookupError as error:
+                over = gripping.over(simulation.data, done)
+                if gripping.late:
                     raise SimulationError(
                         f"step {number + 1}, {part.step.name!r}, begun at {self.begun[-1][0]:.2f} s: its event does "
-                        f"not come: {error.args[0]}"
-                    ) from None
+                        f"not come: {gripping.late}"
+                    )
         self.end = simulation.time
         yield from repeat(len(sequence.t) - 1, self._rest + 1)
 
