@@ -182,14 +182,12 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
         if refusals and (candidate.touches or candidate.excess > 0.01):
             break
         try:
-            motion = timed_motion(problem, candidate.path)
+            return candidate.network, timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append((str(error), getattr(error, "duration", None)))
             # At most 8 exact motions are made and checked.
             if hurried or len(refusals) == 8:
                 break
-            continue
-        return candidate.network, motion
     reason, duration = refusals[0]
     message = f"{reason} (best of {len(result)} candidates)"
     if duration is not None:
