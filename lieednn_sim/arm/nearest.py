@@ -278,8 +278,7 @@ class NearestPose:
         a before b, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2. Within a ball joint
         their symmetric part is used, which is exact where the gradient vanishes.
         """
-        size = q.shape[-1]
-        gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, size))
+        gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, q.shape[-1]))
         offset = self._offset(q)
         for i, (joint, place, order) in enumerate(zip(self._joints, self._places, self._orders, strict=True)):
             value, rows, omega = self._moved(joint, offset)

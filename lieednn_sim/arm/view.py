@@ -217,5 +217,4 @@ def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Fl
         configurations = dependents.to_qpos(np.vstack([fields["qpos_home"], configurations]), strict=False)
         configurations = configurations[~np.isnan(configurations).any(axis=1)]
         rates = dependents.basis(configurations) @ rates[dependents.dofs]
-    spare = spare_acceleration(model, configurations, rates, force)
-    return np.where(np.isfinite(given), given, spare)
+    return np.where(np.isfinite(given), given, spare_acceleration(model, configurations, rates, force))

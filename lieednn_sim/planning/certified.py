@@ -173,9 +173,8 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
-    arm = problem.arm
     # If no motion can be fast enough, one refusal suffices. Sampled motions may seem 1 % faster.
-    hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
+    hurried = problem.duration <= 0.99 * least_duration(problem.arm, problem.start, problem.target)
     refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
         # After a refusal, networks whose rough path exceeds the limits by more than this [rad, m] are not tried.

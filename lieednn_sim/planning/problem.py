@@ -84,8 +84,7 @@ class PlanningProblem:
 
     def times(self) -> Floats:
         """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""
-        count = count_steps(self.duration, self.timestep) + 1
-        return self.timestep * np.arange(count, dtype=np.float64)
+        return self.timestep * np.arange(count_steps(self.duration, self.timestep) + 1, dtype=np.float64)
 
 
 @frozen

@@ -168,8 +168,7 @@ def ompl_search(name: str) -> Search:
         objective.setCostThreshold(base.Cost((1.0 + 1e-9) * straight))
         definition.setOptimizationObjective(objective)
         # Informed RRT* fails where start and target are one: there is no ellipsoid to sample in.
-        method = METHODS[name if straight > 0.0 else "rrt-connect"]
-        planner = getattr(geometric, method)(space.information)
+        planner = getattr(geometric, METHODS[name if straight > 0.0 else "rrt-connect"])(space.information)
         if hasattr(planner, "setRange"):
             planner.setRange(options.longest_edge * space.information.getMaximumExtent())
         planner.setProblemDefinition(definition)

@@ -167,8 +167,7 @@ class StompSearch:
         low, high = arm.position_limits.T
         paths = np.clip(self.path + spread * arm.ranges * self.noise(self.options.rollouts), low, high)
         costs = np.array([self.costs(path) for path in paths])
-        weights = noise_weights(costs)
-        step = np.einsum("kt,ktj->tj", weights, paths - self.path)
+        step = np.einsum("kt,ktj->tj", noise_weights(costs), paths - self.path)
         average = np.clip(self.path + self.smoother @ step, low, high)
         best = int(costs.sum(axis=1).argmin())
         tried = ((average, self.costs(average)), (paths[best], costs[best]))
