@@ -86,8 +86,8 @@ class TaskSpaceRegion:
         Raises:
             InputError: a value is malformed, or both points are the same.
         """
-        first, way = as_floats("start", start, (3,)), as_floats("end", end, (3,)) - as_floats("start", start, (3,))
-        length, across = float(np.linalg.norm(way)), as_nonnegative("tolerance", tolerance, _FARTHEST)
+        first, last = as_floats("start", start, (3,)), as_floats("end", end, (3,))
+        length, across = float(np.linalg.norm(way := last - first)), as_nonnegative("tolerance", tolerance, _FARTHEST)
         if not length > 0.0:
             raise InputError("a line needs two different points, got the same start and end")
         frame = scipy.spatial.transform.Rotation.align_vectors(way[None], [[1.0, 0.0, 0.0]])[0]
