@@ -28,7 +28,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.learning import demonstrations
 from lieednn_sim.rendering.camera import Camera
-from lieednn_sim.simulation.tracking import as_reference
+from lieednn_sim.simulation.reference import Reference
 
 # Calls change these: a new one is made for each.
 CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "ControlEnvironment", "Camera", "Table"}
@@ -135,7 +135,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
     "ChunkStep": lambda: policies.ChunkStep(_policy("lieednn-chunks"), 0.02),
     "FilteredPolicy": lambda: policies.FilteredPolicy(_policy("linear-attractor")),
-    "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),
+    "Reference": lambda: Reference.of(thing("Arm"), thing("Motion").q, thing("Motion").qd),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),
     "Settings": lambda: studies.Settings(duration=0.5, hold=0.0),

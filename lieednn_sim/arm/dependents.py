@@ -235,8 +235,7 @@ def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) ->
     loops = loop_closures(model)
     if not loops:
         return list(joints)
-    data = mujoco.MjData(model)
-    freedom = scipy.linalg.null_space(Residuals(model, data, loops, ()).at(qpos)[1], rcond=1e-9)
+    freedom = scipy.linalg.null_space(Residuals(model, mujoco.MjData(model), loops, ()).at(qpos)[1], rcond=1e-9)
     result: list[int] = []
     for joint in joints:
         dofs = dof_addresses(model, [*result, joint])

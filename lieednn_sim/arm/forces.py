@@ -53,6 +53,11 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
     return moments
 
 
+def driving(moments: Floats, rates: Floats) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` with `actuator_moments` ``(nu, nv)`` move anything at velocities ``(nv, n)``."""
+    return np.asarray(np.abs(moments @ rates).max(axis=1, initial=0.0) > 1e-9)
+
+
 def constant_moments(model: mujoco.MjModel) -> Floats:
     """The `actuator_moments` of actuators on joints and fixed tendons, which are constant; zero for the others."""
     constant = np.isin(model.actuator_trntype, ON_JOINTS) | _on_fixed_tendons(model)

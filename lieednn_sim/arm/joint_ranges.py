@@ -41,8 +41,8 @@ def joint_ranges(
     A coordinate may move as far as all joints that it moves allow. A hinge alone in its link keeps its range, whatever
     it is; without one it may make a turn in each direction from the positions ``around`` ``(nq,)``. Other hinges, and
     ball joints, are narrowed to 0.99 pi, where the logarithm is still unique; without a range they get 0.95 pi to
-    either side of their reference. ``within`` are further bounds ``(2,)`` of some joints, from joints
-    elsewhere that follow them. `InputError` if a slide has no range, or nothing is left of a range.
+    either side of their reference. ``within`` are further bounds ``(2,)`` of some joints, from joints elsewhere that
+    follow them. `InputError` if a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
@@ -50,8 +50,6 @@ def joint_ranges(
         spans[joint] = np.array([max(spans[joint][0], low), min(spans[joint][1], high)])
     for lead in dict.fromkeys(couplings.line(joint)[0] for joint in joints):
         members = [joint for joint in joints if couplings.line(joint)[0] == lead]
-        if members == [lead] and lead not in within and np.isfinite(spans[lead]).all():
-            continue
         low, high = -np.inf, np.inf
         for joint in members:
             _, ratio, shift = couplings.line(joint)

@@ -18,6 +18,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats
 
+RATES = ("velocity", "acceleration", "jerk")  # that have limits
 _ROUNDING = 1e-6  # how far beyond a range rounding may lead [rad, m]
 
 
@@ -25,7 +26,7 @@ def check_rates(limits: Any) -> None:
     """Raise `InputError` unless ``limits`` is as in `Arm.of`."""
     for coordinate, given in (limits or {}).items():
         for what, value in given.items():
-            as_choice("limit", what, ["velocity", "acceleration", "jerk"])
+            as_choice("limit", what, RATES)
             as_positive(f"limit of {what} of {coordinate}", value)
 
 

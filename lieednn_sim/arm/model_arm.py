@@ -45,7 +45,6 @@ class ModelArm(SerialArm):
         start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
             it is then moved to the limit (`check_start`).
         leaves: for an arm that `leaving` returns, the configuration ``(n,)`` at which its motions begin.
-        qpos_home: for a view, the positions ``(nq,)`` of its model in the state that it was made from: its ``home``.
         state: for a view of a compiled model, the whole of that state (`state_of`), from which simulations start. An
             imported file is a view, too, but its simulations start at rest, with the controls of the keyframe ``home``.
         named: for a view, the arguments joints, links, tip, base and limits of `Arm.of`.
@@ -65,7 +64,6 @@ class ModelArm(SerialArm):
     clearance: float = PLANNED_CLEARANCE
     start_tolerance: float = 1e-3
     leaves: Floats | None = None
-    qpos_home: Floats | None = None
     state: Floats | None = None
     named: Mapping[str, Any] = field(default_factory=dict)
     made: Mapping[str, Floats] = field(default_factory=dict)
@@ -217,21 +215,8 @@ class ModelArm(SerialArm):
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Which degrees of freedom ``(nv,)`` move the body with an id; what is carried moves with its carrier."""
         body = as_count("body", body, 0, self.model.nbody - 1)
-        carried = self.grasp is not None and body in self.grasp.bodies
-        mover = self.grasp.carrier if self.grasp is not None and carried else body
+        mover = self.grasp.carrier if self.grasp is not None and body in self.grasp.bodies else body
         return np.isin(self.model.dof_bodyid, ancestry(self.model, mover))
-
-    @property
-    def keyframes(self) -> tuple[str, ...]:
-        """Names of the keyframes; a view always has ``home``, its state."""
-        names = super().keyframes
-        return names if self.qpos_home is None or "home" in names else ("home", *names)
-
-    def keyframe(self, name: str) -> Floats:
-        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made from."""
-        if name == "home" and self.qpos_home is not None:
-            return self.coordinates(self.qpos_home)
-        return super().keyframe(name)
 
     def limit_excess(self, q: Floats) -> Floats:
         """How far each coordinate ``(..., n)`` is outside its limits, then the same for the ranges of `stops`."""

@@ -38,13 +38,12 @@ class NearestPose:
         self._weights = np.tile([np.sqrt(0.5)] * 3 + [1.0 / length], 3)
         turning = [factor.indices for joint in joints for factor in joint.factors if factor.kind != "slide"]
         self.sliding = ~np.isin(indices, np.concatenate([*turning, []]))
-        factors = [factor for joint in joints for factor in joint.factors]
         # For each joint: a selection matrix ``(c, r)`` of its r coordinates among the group's, or None if equal;
         # and for pairs ``(r, r)`` of them 1 if the first belongs to an earlier factor, 1/2 if both to the same one.
         self._places = [None if np.array_equal(j.coordinates, indices) else j.selection(indices) for j in joints]
         ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
         self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]
-        winding = [factor for factor in factors if factor.kind != "hinge" or abs(factor.ratio) != 1.0]
+        winding = [f for joint in joints for f in joint.factors if f.kind != "hinge" or abs(f.ratio) != 1.0]
         self._periodic = np.array([not any(i in factor.indices for factor in winding) for i in indices])
 
     def solve(self, rotation: Floats, translation: Floats) -> Floats:
@@ -279,8 +278,7 @@ class NearestPose:
         a before b, omega_a^T Y omega_b - (omega_a . omega_b) tr Y + (e x omega_a) . p_b / length^2. Within a ball joint
         their symmetric part is used, which is exact where the gradient vanishes.
         """
-        size = q.shape[-1]
-        gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, size))
+        gradient, hessian = np.zeros(q.shape), np.zeros((*q.shape, q.shape[-1]))
         offset = self._offset(q)
         for i, (joint, place, order) in enumerate(zip(self._joints, self._places, self._orders, strict=True)):
             value, rows, omega = self._moved(joint, offset)

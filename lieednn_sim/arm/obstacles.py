@@ -17,8 +17,8 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.floor import AUTO, FLOOR, NONE, add_plane, as_floor, collision_bits
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX
-from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file
 from lieednn_sim.registry import SCENES
@@ -105,7 +105,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     return f"{', '.join(counts)}; {where}", model_fingerprint(model)
 
 
-def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjSpec, label: str) -> None:
+def add_own_obstacles(spec: mujoco.MjSpec, arm: ModelArm, obstacles: mujoco.MjSpec, label: str) -> None:
     """Attach obstacles to a copy of an arm's spec; they collide with every colliding geom of the arm."""
     bits = collision_bits(arm.model)
     for text in list(obstacles.texts):
@@ -123,7 +123,7 @@ def add_own_obstacles(spec: mujoco.MjSpec, arm: SerialArm, obstacles: mujoco.MjS
         spec.memory = max(spec.memory, 2**24 + 5 * len(spec.bodies) ** 2)
 
 
-def _replace_floor(spec: mujoco.MjSpec, arm: SerialArm, asked: str, bits: int) -> None:
+def _replace_floor(spec: mujoco.MjSpec, arm: ModelArm, asked: str, bits: int) -> None:
     """Put another floor, or none, in the place of that of an imported arm."""
     floor = spec.body(FLOOR)
     if floor is None and any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
@@ -134,7 +134,7 @@ def _replace_floor(spec: mujoco.MjSpec, arm: SerialArm, asked: str, bits: int) -
         add_plane(spec, FLOOR, float(asked), bits)
 
 
-def check_home(arm: SerialArm, scene: str) -> None:
+def check_home(arm: ModelArm, scene: str) -> None:
     """Raise `InputError` where an arm at ``home`` touches one of the obstacles around it; warn of one far away."""
     model, home = arm.model, kinematics_at(arm.model, arm.qpos(arm.keyframe("home")))
     near = ContactFinder(model, PLANNED_CLEARANCE).geoms(home.qpos)[1]

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
-from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
+from lieednn_sim.arm.compound_joints import Couplings
+from lieednn_sim.arm.coordinates import Coordinates, Line
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, driving, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, least_singular_value
-from lieednn_sim.arm.limits import read_numeric
+from lieednn_sim.arm.limits import RATES, read_numeric
 from lieednn_sim.arm.surroundings import home_data
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -43,20 +44,18 @@ def read_arm(
     chain: Chain | None = None,
     *,
     rest: Floats | None = None,
-    lines: Mapping[int, Line] | None = None,
-    sums: Mapping[int, Sum] | None = None,
+    couplings: Couplings | None = None,
     ranges: Mapping[int, Floats] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The fields of an `Arm` that its model determines; ``arm`` is its name, for messages.
 
     Without a chain, the one of the sites base_frame, link1_frame, ... is read, with the model's ranges and equalities.
-
     `InputError` if the model is not an arm.
 
     Args:
         rest: ``(nq,)``, at which the other joints stay; by default the keyframe ``home``.
-        lines, sums: how joints, of the chain or others, follow one joint or several joints of the chain.
+        couplings: how joints, of the chain or others, follow joints of the chain.
         ranges: the range ``(2,)`` of each joint of a chain.
         notes: which of the ranges were made or narrowed.
     """
@@ -74,11 +73,11 @@ def read_arm(
         if bare := [joint for joint in group if not model.jnt_limited[joint]]:
             raise InputError(f"{joint_label(model, arm, bare[0])} has no position limits; give it a range")
         ranges = {joint: joint_range(model, joint) for joint in group}
-    lines = _leaders(model, arm, group) if lines is None else lines
+    couplings = Couplings(_leaders(model, arm, group)) if couplings is None else couplings
     rest, said = home_data(model).qpos if rest is None else rest, list(notes)
-    space = read_coordinates(model, chain, rest, lines, sums or {})
+    space = read_coordinates(model, chain, rest, couplings)
     limits = narrow_to_servos(model, rest, space, read_position_limits(model, chain, space, ranges), said)
-    moving = np.abs(actuator_moments(model) @ tangent_basis(space)).max(axis=1, initial=0.0) > 1e-9
+    moving = driving(actuator_moments(model), tangent_basis(space))
     if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
         said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
@@ -92,9 +91,7 @@ def read_arm(
         "tips": tips,
         "position_limits": limits,
         "notes": tuple(said),
-        "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited, viewed),
-        "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited, viewed),
-        "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited, viewed),
+        **{f"{rate}_limits": read_numeric(model, arm, f"{rate}_limit", unlimited, viewed) for rate in RATES},
         "force_limits": np.minimum(-weakest, strongest),  # the force that is available in both directions
         "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1), viewed)[0]),
         "frames": BodyFrames.of(chain.frames[1:]),
@@ -111,15 +108,14 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     return Chain(frames, joint_groups(model, frames))
 
 
-def read_coordinates(
-    model: mujoco.MjModel, chain: Chain, rest: Floats, leaders: Mapping[int, Line], sums: Mapping[int, Sum]
-) -> Coordinates:
+def read_coordinates(model: mujoco.MjModel, chain: Chain, rest: Floats, couplings: Couplings) -> Coordinates:
     """Coordinates of the chain's joints in qpos order; others than these and their followers stay at ``rest``."""
-    joints = sorted({joint for group in chain.groups for joint in group} | leaders.keys() | sums.keys())
+    led = couplings.lines.keys() | couplings.sums.keys()
+    joints = sorted({joint for group in chain.groups for joint in group} | led)
     names: list[str] = []
     units: list[str] = []
     index: dict[int, NDArray[np.int_]] = {}
-    for joint in (joint for joint in joints if joint not in leaders and joint not in sums):
+    for joint in (joint for joint in joints if joint not in led):
         name, ball = model.joint(joint).name, joint_kind(model, joint) == "ball"
         index[joint] = len(names) + np.arange(3 if ball else 1)
         names += [f"{name}_{axis}" for axis in "xyz"] if ball else [name]
@@ -130,11 +126,9 @@ def read_coordinates(
         if joint_kind(model, joint) == "ball":
             offset[address : address + 4] = 0.0
             continue
-        leader, ratio, shift = leaders.get(joint, (joint, 1.0, 0.0))
-        ratios, shift = sums.get(joint, ({leader: ratio}, shift))
-        for leader, ratio in ratios.items():
+        for leader, ratio in couplings.ratios(joint).items():
             coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
-        offset[address] = shift
+        offset[address] = couplings.sums[joint][1] if joint in couplings.sums else couplings.line(joint)[2]
     scalars = [joint for joint in index if joint_kind(model, joint) != "ball"]
     balls = [joint for joint in index if joint_kind(model, joint) == "ball"]
     return Coordinates(

@@ -86,8 +86,8 @@ class TaskSpaceRegion:
         Raises:
             InputError: a value is malformed, or both points are the same.
         """
-        first, way = as_floats("start", start, (3,)), as_floats("end", end, (3,)) - as_floats("start", start, (3,))
-        length, across = float(np.linalg.norm(way)), as_nonnegative("tolerance", tolerance, _FARTHEST)
+        first, last = as_floats("start", start, (3,)), as_floats("end", end, (3,))
+        length, across = float(np.linalg.norm(way := last - first)), as_nonnegative("tolerance", tolerance, _FARTHEST)
         if not length > 0.0:
             raise InputError("a line needs two different points, got the same start and end")
         frame = scipy.spatial.transform.Rotation.align_vectors(way[None], [[1.0, 0.0, 0.0]])[0]
@@ -203,8 +203,7 @@ class TaskSpaceRegion:
         (cp, cy), (sp, sy) = np.cos(np.moveaxis(given[..., 4:], -1, 0)), np.sin(np.moveaxis(given[..., 4:], -1, 0))
         # At 90 degrees the other angles are not determined.
         cp = np.where(cp < 0.0, np.minimum(cp, -1e-3), np.maximum(cp, 1e-3))
-        full = np.ones_like(cp)
-        rates = [cy / cp, sy / cp, none, -sy, cy, none, sp * cy / cp, sp * sy / cp, full]
+        rates = [cy / cp, sy / cp, none, -sy, cy, none, sp * cy / cp, sp * sy / cp, np.ones_like(cp)]
         slopes[..., 3:, :3] = np.stack(rates, axis=-1).reshape(*x.shape, 3, 3) @ to_frame
         inside = (self._beyond(given) == 0.0) & (self.lower < self.upper)
         return np.where(inside[..., None], 0.0, slopes)

@@ -14,7 +14,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import colliding_geoms
-from lieednn_sim.arm.serial_arm import SerialArm
+from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.values import Floats
@@ -39,7 +39,7 @@ _MATERIALS = {
 class _Surroundings:
     """The arm's dimensions [m] in a frame on the floor below the base, with x towards the tip at home."""
 
-    arm: SerialArm  # without obstacles
+    arm: ModelArm  # without obstacles
     origin: Floats  # ``(3,)`` world position of the frame
     yaw: float  # its rotation about the vertical [rad]
     scale: float  # factor for the sizes of obstacles, 1 for an arm of the nominal reach
@@ -53,7 +53,7 @@ class _Surroundings:
         return {"pos": self.origin, "quat": [np.cos(self.yaw / 2.0), 0.0, 0.0, np.sin(self.yaw / 2.0)]}
 
 
-def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int) -> None:
+def add_obstacles(spec: mujoco.MjSpec, arm: ModelArm, scene: str, seed: int) -> None:
     """Add the obstacles of a scene of `SCENES`, not ``free``, to a copy of the spec of an arm without any.
 
     New bodies, geoms, materials and sites are named ``obstacle_...``; visible geoms are in group 2. The same seed gives
@@ -172,7 +172,7 @@ def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: f
     return np.array([min(mujoco.mj_geomDistance(model, data, k, part, 0.5, None) for part in parts) for k in trials])
 
 
-def _surroundings(arm: SerialArm) -> _Surroundings:
+def _surroundings(arm: ModelArm) -> _Surroundings:
     home = arm.keyframe("home")
     base = np.asarray(arm.base.translation)
     tip = np.asarray(arm.link_poses(home).translation)[-1]

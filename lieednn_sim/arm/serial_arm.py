@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 class SerialArm:
     """The coordinates, limits and kinematics of an arm: a chain of links that compound joints move.
 
-    Link frame i is link frame i-1 times a fixed mount,
-    T_i(q) and a fixed tip; frame 0 is that of the base. q in R^n holds one coordinate for a hinge or slide and
-    three, its rotation vector, for a ball joint; coupled stages of a telescope share one.
+    Link frame i is link frame i-1 times a fixed mount, T_i(q) and a fixed tip; frame 0 is that of the base. q in R^n
+    holds one coordinate for a hinge or slide and three, its rotation vector, for a ball joint; coupled stages of a
+    telescope share one.
 
     Attributes:
         name: name of the model.
@@ -49,6 +49,7 @@ class SerialArm:
         force_limits: ``(n,)`` [N m, N].
         length_scale: metres per unit of v in the network's coordinates, since the activation takes pure numbers.
         frames: the N link frames, fixed to bodies of the model.
+        qpos_home: for a view, the positions ``(nq,)`` of its model in the state that it was made from: its ``home``.
     """
 
     name: str
@@ -67,6 +68,7 @@ class SerialArm:
     force_limits: Floats
     length_scale: float
     frames: BodyFrames
+    qpos_home: Floats | None = None
 
     @property
     def n_links(self) -> int:
@@ -112,7 +114,9 @@ class SerialArm:
         return (*(f"link {i}" for i in range(1, self.n_links)), "end effector")
 
     def keyframe(self, name: str) -> Floats:
-        """Joint coordinates ``(n,)`` of a keyframe."""
+        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made from."""
+        if name == "home" and self.qpos_home is not None:
+            return self.coordinates(self.qpos_home)
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, name)
         if key < 0:
             raise InputError(f"no keyframe {quoted(name)}; keyframes of {self.name}: {', '.join(self.keyframes)}")
@@ -120,8 +124,9 @@ class SerialArm:
 
     @property
     def keyframes(self) -> tuple[str, ...]:
-        """Names of the keyframes."""
-        return tuple(self.model.key(k).name for k in range(self.model.nkey))
+        """Names of the keyframes; a view always has ``home``, its state."""
+        names = tuple(self.model.key(k).name for k in range(self.model.nkey))
+        return names if self.qpos_home is None or "home" in names else ("home", *names)
 
     def configuration(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Joint coordinates ``(n,)``: the given ones, or those of a keyframe that is given by its name."""
@@ -175,10 +180,6 @@ class SerialArm:
     def amount(self, joint: int, value: float) -> str:
         """The size of a change of a coordinate [rad, m], in words."""
         return f"{1e3 * abs(value):.3g} mm" if self.unit(joint) == "m" else f"{np.rad2deg(abs(value)):.3g} degrees"
-
-    def qpos(self, q: ArrayLike) -> Floats:
-        """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., n)``."""
-        return self.space.to_qpos(as_floats("q", q, (self.n_joints,), batched=True))
 
     def coordinates(self, qpos: ArrayLike) -> Floats:
         """Joint coordinates ``(..., n)`` of MuJoCo's generalised positions ``(..., nq)``."""

@@ -99,8 +99,7 @@ def read_view(
     _check_links(own, groups, couplings)
     ranges = joint_ranges(own, groups, couplings, notes, qpos, within)
     chain = Chain(tuple(frames), groups)
-    ties: dict[str, Any] = {"lines": couplings.lines, "sums": couplings.sums}
-    fields = read_arm(own, name, chain, rest=qpos, ranges=ranges, notes=notes, **ties)
+    fields = read_arm(own, name, chain, rest=qpos, couplings=couplings, ranges=ranges, notes=notes)
     space: Coordinates = fields["space"]
     bounded = [joint for joint in dependents.moved if joint not in dependents.lines]
     solved = [joint for joint in bounded if joint not in dependents.sums]
@@ -218,5 +217,4 @@ def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Fl
         configurations = dependents.to_qpos(np.vstack([fields["qpos_home"], configurations]), strict=False)
         configurations = configurations[~np.isnan(configurations).any(axis=1)]
         rates = dependents.basis(configurations) @ rates[dependents.dofs]
-    spare = spare_acceleration(model, configurations, rates, force)
-    return np.where(np.isfinite(given), given, spare)
+    return np.where(np.isfinite(given), given, spare_acceleration(model, configurations, rates, force))

@@ -220,8 +220,7 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: S
     goal = np.asarray(target)
     error = np.abs(history.equilibrium - goal)
     with layout.drawn(path, 10, 6.4) as figure:
-        axes = figure.subplots(2, 2, sharex=True)
-        distance, accuracy, rate, equilibrium = axes.ravel()
+        distance, accuracy, rate, equilibrium = figure.subplots(2, 2, sharex=True).ravel()
         distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
         distance.semilogy(history.epoch, error.max(axis=(-2, -1)), lw=1.2, label="largest coordinate")
         distance.axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")

@@ -1,7 +1,7 @@
 """Planning: from a joint target to a motion that is checked for limits, contact and clearance.
 
-`plan` runs any planner by its name: certified networks, and the planners with which they are compared. Each planner has
-a class of options here.
+`plan` runs any planner by its name: certified networks, and the planners with which they are compared. `PLANNERS` has
+the class of each one's options.
 """
 
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions as OptimisationOptions

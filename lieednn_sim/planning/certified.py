@@ -55,9 +55,6 @@ class CertifiedOptions(CandidateOptions):
         n_first: number of networks to begin with; the others are made only if none of these can be used.
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     # The straightest path first; where it is blocked, others bend more.
@@ -176,23 +173,20 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 
 def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
-    arm = problem.arm
     # If no motion can be fast enough, one refusal suffices. Sampled motions may seem 1 % faster.
-    hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
+    hurried = problem.duration <= 0.99 * least_duration(problem.arm, problem.start, problem.target)
     refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
         # After a refusal, networks whose rough path exceeds the limits by more than this [rad, m] are not tried.
         if refusals and (candidate.touches or candidate.excess > 0.01):
             break
         try:
-            motion = timed_motion(problem, candidate.path)
+            return candidate.network, timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append((str(error), getattr(error, "duration", None)))
             # At most 8 exact motions are made and checked.
             if hurried or len(refusals) == 8:
                 break
-            continue
-        return candidate.network, motion
     reason, duration = refusals[0]
     message = f"{reason} (best of {len(result)} candidates)"
     if duration is not None:

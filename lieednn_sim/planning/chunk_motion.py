@@ -36,8 +36,6 @@ _FOUR, _ORDERS = np.arange(4), np.arange(3).repeat(4)
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
 # Factors on the least durations of a chunk and of the fade onto it, ordered by how much they delay it.
 _TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
-
-
 # A ramp from speed 1 to rest, for x from 0 to 1: way, speed and the derivative of the speed, from the powers of x.
 # Then, at nine values of x, the way that is left, the squared speed, and the derivative of the speed.
 _RAMP = np.array([[0, 1, 0, 0, -2.5, 3, -1], [1, 0, 0, -10, 15, -6, 0], [0, 0, -30, 60, -30, 0, 0]])

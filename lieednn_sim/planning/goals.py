@@ -14,7 +14,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.planning.motion import least_duration
-from lieednn_sim.planning.path_constraints import followed
+from lieednn_sim.planning.path_constraints import reached
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
@@ -63,7 +63,7 @@ def candidates(
 
     For poses and regions they are those of `ik_candidates`. Goals of a set that the arm cannot reach are left out. If a
     region is to be kept, the joint positions that the arm reaches in small steps within it
-    (`path_constraints.followed`) come first.
+    (`path_constraints.reached`) come first.
 
     Args:
         arm: the arm, in its scene.
@@ -79,7 +79,7 @@ def candidates(
     goals = list(_single(arm, target, "target"))
     if not goals:
         raise InputError(f"target must hold at least one goal, got an empty {type(target).__name__}")
-    near = [] if path_constraint is None else list(_followed(arm, goals, start, path_constraint))
+    near = [] if path_constraint is None else list(_reached(arm, goals, start, path_constraint))
     yield from sorted(near, key=lambda q: least_duration(arm, start, q))
     result, refusals = list[Floats](), list[str]()
     for goal in goals:
@@ -98,13 +98,13 @@ def candidates(
         raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
 
 
-def _followed(arm: Arm, goals: Sequence[Single], start: Floats, path_constraint: TaskSpaceRegion) -> Iterator[Floats]:
+def _reached(arm: Arm, goals: Sequence[Single], start: Floats, path_constraint: TaskSpaceRegion) -> Iterator[Floats]:
     """Contact-free joint positions ``(n,)`` that are reached within a region, for goals that are poses or regions."""
     for goal in goals:
         check_time()
         if isinstance(goal, np.ndarray | str):
             continue
         region = goal if isinstance(goal, TaskSpaceRegion) else TaskSpaceRegion(goal, np.zeros(6), np.zeros(6))
-        q = followed(arm, start, region, path_constraint)
+        q = reached(arm, start, region, path_constraint)
         if q is not None and arm.limit_excess(q).max() <= 0.0 and not arm.near_contacts(q):
             yield q

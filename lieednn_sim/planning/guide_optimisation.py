@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
-from lieednn_sim.arm.collision import ContactSlopes
+from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
 from lieednn_sim.planning.motion import Motion, travelled

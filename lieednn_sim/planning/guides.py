@@ -23,7 +23,7 @@ from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.smoothing import slow_motion
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import ProblemClearance
 from lieednn_sim.planning.motion import Motion, travelled
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.path_constraints import outside, projected
@@ -135,9 +135,8 @@ class _Search:
 
     def __init__(self, problem: PlanningProblem, options: GuideOptions) -> None:
         self.problem, self.options, self.constrained = problem, options, problem.path_constraint is not None
-        workspace = Workspace(problem, options.margin)
-        self.edges = EdgeTest(problem.arm, workspace, options.spacing)
-        self.ends = workspace.ends
+        clear = ProblemClearance(problem, options.margin)
+        self.edges, self.ends = EdgeTest(problem.arm, clear, options.spacing), min(clear.distances)
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """An optimisation; with the arm's ``own`` distances it has twice the instants and costs many times as much."""

@@ -71,20 +71,20 @@ class ClearanceTest:
         return total
 
 
-class Workspace:
-    """A problem's clearance test, and the signed distances of its geoms.
+class ProblemClearance(ClearanceTest):
+    """The clearance test of a problem, with a smaller margin [m] where start or target is closer to something.
 
-    Where start or target is closer to something than the margin [m], the test's margin is reduced.
+    Attributes:
+        collisions: the signed distances of its geoms.
+        distances: those of start and target from everything [m].
     """
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
-        #: Distances of start and target from everything [m], and the least.
         self.distances = tuple(map(self.collisions.clearance, (problem.start, problem.target)))
-        self.ends = min(self.distances)
         kept_fraction = 0.8  # of the distance of start and target, where these are closer than the margin
         # The clearance that motions are checked for is kept.
-        self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * self.ends, problem.arm.clearance)))
+        super().__init__(problem.arm, min(margin, max(kept_fraction * min(self.distances), problem.arm.clearance)))
 
 
 def clamped_knots(count: int) -> Floats:

@@ -22,10 +22,7 @@ class ClearanceMonitor:
     """The errors of the joints for which a motion's clearance stays proved.
 
     Args:
-        arm: the arm, in its scene.
-        t: ``(K,)`` evenly spaced times [s].
-        q: ``(K, n)`` joint positions [rad, m].
-        qd: ``(K, n)`` their rates [rad/s, m/s].
+        arm, t, q, qd: as for `clearance.check_clearance`.
 
     Attributes:
         clearance: what is proved of the motion itself.

@@ -92,7 +92,6 @@ class NetworkPath:
         # Far from the equilibrium gamma determines the pace, close to it the slowest eigenvalue.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
-        arrived = False
         # A slow clock makes the speed low at the end of the path, and the integrator's error must be small beside it.
         # The error may also keep it from arriving at a target with large entries; then a smaller tolerance is tried.
         usual = max(1e-8 * min(1.0, pace / network.gamma) ** 4, 1e-12)
@@ -101,10 +100,9 @@ class NetworkPath:
             trajectory = network.trajectory(
                 origin, longest, until=target, distance=RESIDUAL, method="DOP853", rtol=rtol, atol=1e-2 * rtol
             )
-            arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
-            if arrived:
+            if np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL:
                 break
-        if not arrived:
+        else:
             raise PlanError(
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"

@@ -94,17 +94,14 @@ def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
     for candidate, magnitude in enumerate(options.magnitudes()):
         bias = bias_for("sign-matched", xi, ACTIVATIONS[activation].phi(xi), 1.0, magnitude)
         result = train(xi, options.training, bias=bias, activation=activation, seed=problem.seed + candidate)
-        network = result.network if result.success else None
-        if network is None:
+        if result.network is None or not result.success:
             # The reason of a refused motion is more informative than that of a failed training.
             refusal = refusal or result.message
             continue
         try:
-            motion = timed_motion(problem, _path(problem, network))
+            return Plan(timed_motion(problem, _path(problem, result.network)), result.network.try_certify())
         except PlanError as error:
             refusal = str(error)
-            continue
-        return Plan(motion, network.try_certify())
     raise PlanError(f"no learned network of {options.n_networks} can be used: {refusal}")
 
 

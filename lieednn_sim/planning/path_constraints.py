@@ -63,7 +63,7 @@ def _least_step(excess: Floats, slopes: Floats) -> Floats:
     return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
 
 
-def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, path_constraint: TaskSpaceRegion) -> Floats | None:
+def reached(arm: Arm, start: Floats, goal: TaskSpaceRegion, path_constraint: TaskSpaceRegion) -> Floats | None:
     """The joint position ``(n,)`` in a goal that the arm reaches from a start in small steps within a region, if any.
 
     The goal's bounds are first widened until they contain the start, and then drawn in step by step.

@@ -84,8 +84,7 @@ class PlanningProblem:
 
     def times(self) -> Floats:
         """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""
-        count = count_steps(self.duration, self.timestep) + 1
-        return self.timestep * np.arange(count, dtype=np.float64)
+        return self.timestep * np.arange(count_steps(self.duration, self.timestep) + 1, dtype=np.float64)
 
 
 @frozen
@@ -118,8 +117,8 @@ class Plan:
     leaves: str = ""
 
     @property
-    def proof(self) -> str:
-        """What the network's certificate says, in a few words."""
+    def certificate(self) -> str:
+        """What the network's certificate says, in a few words; for what is proved about contact see `clearance`."""
         return "no network, no proof" if self.network is None else str(self.network.certificate or "not certified")
 
     def __repr__(self) -> str:
@@ -130,7 +129,7 @@ class Plan:
             return repr(self)
         tip = ", ".join(f"{value:.3f}" for value in self.arm.tip(self.motion.q[-1]))
         moved = f"{self.planner}: {self.arm.name} in {self.t[-1]:g} s, end effector to ({tip}) m"
-        return f"{moved}\n{self.proof}\nclearance: {self.clearance}"
+        return f"{moved}\n{self.certificate}\nclearance: {self.clearance}"
 
     @property
     def t(self) -> Floats:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import actuator_moments
+from lieednn_sim.arm.limits import largest_inertia
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
@@ -46,7 +47,7 @@ class SequencePart:
     def __str__(self) -> str:
         if self.plan is None:
             return "controls"
-        return f"{self.plan.planner}: {self.plan.proof}"
+        return f"{self.plan.planner}: {self.plan.certificate}"
 
 
 @frozen
@@ -136,7 +137,7 @@ class _Planned:
         self._arm, self._state = arm, arm.data()
         self._state.qvel[:] = 0.0
         self._places, self._dofs = arm.space.addresses, arm.space.rate_addresses
-        self._heavy = _heavier(arm.model, self._state, self._dofs)
+        self._heavy = _heavier(arm.model, self._state.qpos, self._dofs)
         self.qpos, self.qvel = [self._state.qpos[None].copy()], [np.zeros((1, arm.model.nv))]
         self.last = 0
 
@@ -171,11 +172,10 @@ class _Planned:
                 state.qpos[self._places], state.qvel[self._dofs] = rest, 0.0
                 qpos.append(state.qpos.copy())
                 qvel.append(state.qvel.copy())
-                try:
-                    if gripping.over(state, len(qpos)):
-                        break
-                except LookupError as error:
-                    raise PlanError(f"its event does not come: {error.args[0]}") from None
+                if gripping.over(state, len(qpos)):
+                    break
+                if gripping.late:
+                    raise PlanError(f"its event does not come: {gripping.late}")
         state.qfrc_applied[self._dofs] = applied
         self._add(np.array(qpos), np.array(qvel))
 
@@ -187,14 +187,10 @@ class _Planned:
         self._state.qacc_warmstart[:] = 0.0
 
 
-def _heavier(model: mujoco.MjModel, data: mujoco.MjData, dofs: NDArray[np.int_]) -> mujoco.MjModel:
-    """A copy of a model in which some dofs have extra inertia, relative to that in a state, and no actuators."""
-    heavy, state = copy.deepcopy(model), mujoco.MjData(model)
-    mujoco.mj_copyData(state, model, data)
-    mujoco.mj_fwdPosition(model, state)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, state, inertia)
-    heavy.dof_armature[dofs] += _HELD * np.diag(inertia)[dofs]
+def _heavier(model: mujoco.MjModel, qpos: Floats, dofs: NDArray[np.int_]) -> mujoco.MjModel:
+    """A copy of a model in which some dofs have extra inertia, relative to that at ``(nq,)``, and no actuators."""
+    heavy = copy.deepcopy(model)
+    heavy.dof_armature[dofs] += _HELD * largest_inertia(model, qpos[None], np.eye(model.nv))[dofs]
     driving = actuator_moments(model)[:, dofs].any(axis=1)
     heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
     return heavy

@@ -86,7 +86,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     if least and passive.bodies.any():
         loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         others = [with_load(arm, *load) for load in loads]
-    law = _LeastEnergy(arm, curve, others, modes).law if least else partial(shaped, curve.own, *shaper(options, modes))
+    law = _LeastEnergy(arm, curve, others, modes).law if least else partial(delayed, curve.own, *shaper(options, modes))
     return curve.kept(law, duration, longest, _GROWTH, partial(check_load, arm))
 
 
@@ -107,7 +107,7 @@ def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, F
     return delays, shares
 
 
-def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: float) -> CubicHermiteSpline:
+def delayed(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: float) -> CubicHermiteSpline:
     """A law convolved with impulses, and compressed before so that the result takes a duration [s].
 
     If less than a quarter of the duration would be left for the law itself, it gets that, and the result is longer.

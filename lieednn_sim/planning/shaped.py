@@ -47,9 +47,6 @@ class ShapedOptions(NetworkOptions):
         neurons: numbers of hidden neurons to try in turn for a network of its own, until it keeps a fifth of the
             deviation.
         guide: how the guide's motion is found.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     deviation: float = 5e-3

@@ -90,6 +90,9 @@ class Actuate:
 class Gripping:
     """Sets the controls of a step, in an arm's model or a simulated one like it, and knows when the step is over.
 
+    Attributes:
+        late: why the step's event has not come in time; empty as long as it may come.
+
     Raises:
         InputError: there is no such actuator or body, it moves the arm, or a control is out of its range.
     """
@@ -109,7 +112,7 @@ class Gripping:
         if step.until == SETTLED and not len(self._dofs):
             raise InputError(f"step {step.name!r} waits until joints have settled, but its actuators move none")
         self._sides = [] if step.until in (None, SETTLED) else [self._carried(name) for name in step.until or ()]
-        self._quiet = 0.0
+        self.late = ""
 
     def begin(self, data: mujoco.MjData) -> None:
         """Set the controls."""
@@ -117,15 +120,11 @@ class Gripping:
         self._quiet = 0.0
 
     def over(self, data: mujoco.MjData, steps: int) -> bool:
-        """Whether the step is over after a number of time steps, the last one just done.
-
-        Raises:
-            LookupError: the event has not come in time; the message says so.
-        """
+        """Whether the step is over after a number of time steps, the last one just done; else it may be `late`."""
         timestep = self._model.opt.timestep
-        late = steps >= max(round(self.step.seconds / timestep), 1)
+        ended = steps >= max(round(self.step.seconds / timestep), 1)
         if self.step.until is None:
-            return late
+            return ended
         if self.step.until == SETTLED:
             fastest = float(np.abs(data.qvel[self._dofs]).max())
             self._quiet = self._quiet + timestep if fastest < _SLOW else 0.0
@@ -138,8 +137,8 @@ class Gripping:
             if ((first[bodies[:, 0]] & second[bodies[:, 1]]) | (second[bodies[:, 0]] & first[bodies[:, 1]])).any():
                 return True
             missing = "{!r} and {!r} have not touched".format(*self.step.until)
-        if late:
-            raise LookupError(f"after {self.step.seconds:g} s {missing}; give it more seconds, or no event")
+        if ended:
+            self.late = f"after {self.step.seconds:g} s {missing}; give it more seconds, or no event"
         return False
 
     def _carried(self, name: str) -> NDArray[np.bool_]:

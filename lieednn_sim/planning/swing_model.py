@@ -2,7 +2,7 @@
 
 The arm's own joints are where the law s(t) puts them. Let x be the passive joints' displacement from their rest at s:
 
-    M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0,
+    M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0.
 
 The coefficients are functions of s alone: forces of inverse dynamics, which are linear in accelerations and quadratic
 in velocities, and their slopes. So all laws along one path share one table of coefficients.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, actuator_ranges, control_ranges, drivable
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, actuator_ranges, control_ranges, drivable, driving
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
@@ -46,7 +46,7 @@ class Actuators:
         # Closed loops are evaluated with the arm at home.
         model, basis = arm.model, arm.unit_rates()
         moments = actuator_moments(model)
-        self.driving = _moving(moments, basis)
+        self.driving = driving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self.moment @ basis
         if len(unknown := np.flatnonzero(self.driving & ~drivable(model))):
@@ -57,11 +57,8 @@ class Actuators:
         driven: NDArray[np.bool_] = np.asarray(transmission.any(axis=0))
         if np.linalg.matrix_rank(transmission) < (arm.n_joints if complete else driven.sum()):
             bare = ", ".join(repr(name) for name, moved in zip(arm.joint_names, driven, strict=True) if not moved)
-            why = (
-                f"no actuator moves {bare}"
-                if bare and complete
-                else "its actuators cannot move all joints independently"
-            )
+            lacks = f"no actuator moves {bare}" if bare and complete else ""
+            why = lacks or "its actuators cannot move all joints independently"
             raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
@@ -153,19 +150,10 @@ class Actuators:
         return np.clip(np.where(self.driving, own, direct), *control_ranges(self._model).T)
 
 
-def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
-    """Which actuators ``(nu,)`` move the arm's joints."""
-    return _moving(actuator_moments(arm.model), arm.unit_rates())
-
-
 def has_servos(arm: Arm) -> bool:
     """Whether each coordinate is driven by position servos alone, without a closed loop in between."""
     model, basis = arm.model, arm.unit_rates()
     moments = actuator_moments(model)
-    driving = _moving(moments, basis)
-    servos = model.actuator_biasprm[:, 1] / np.where(driving, model.actuator_gainprm[:, 0], 1.0) < 0.0
-    return arm.dependents is None and bool((moments @ basis).any(axis=0).all() and servos[driving].all())
-
-
-def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:
-    return np.asarray(np.abs(moments @ basis).max(axis=1, initial=0.0) > 1e-9)
+    mine = driving(moments, basis)
+    servos = model.actuator_biasprm[mine, 1] / model.actuator_gainprm[mine, 0] < 0.0
+    return arm.dependents is None and bool((moments @ basis).any(axis=0).all() and servos.all())

@@ -39,8 +39,7 @@ class Push:
     duration: float
 
     def __post_init__(self) -> None:
-        force = as_floats("force", self.force, (3,))
-        set_fields(self, force=tuple(float(value) for value in force))
+        set_fields(self, force=tuple(as_floats("force", self.force, (3,)).tolist()))
         check_fields(self, as_nonnegative, "start")
         check_fields(self, as_positive, "duration")
 

@@ -105,7 +105,7 @@ def follow(
     origin = arm.check_start(start)
     policy.reset(origin)
     loop.begin(origin)
-    sample = _sampler(arm, target, arm.timestep)
+    sample = _sampler(arm, target)
     # A `ChannelSource` for the channels of the policy.
     told: Any = SimpleNamespace(channel_units=policy.channel_units)
     told.sample, told.channel_values = lambda _: policy.channels(), lambda samples: tuple(samples.T)
@@ -191,10 +191,9 @@ class ClosedLoop:
                 self.simulation.advance_once()
 
 
-def _sampler(
-    arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike | str, timestep: float
-) -> Callable[[int], Floats]:
+def _sampler(arm: Arm, target: Callable[[float], ArrayLike] | ArrayLike | str) -> Callable[[int], Floats]:
     """The target ``(n,)`` at a simulation step, checked against the position limits."""
+    timestep = arm.timestep
     if callable(target):
         return lambda k: arm.check_position(target(k * timestep), f"the target at t = {k * timestep:.3f} s")
     given = arm.configuration(target) if isinstance(target, str) else target

@@ -121,8 +121,8 @@ class Log:
         self._sources: list[tuple[ChannelSource, list[Floats]]] = [
             (source, []) for source in (*sources, simulation.pushes) if source.channel_units
         ]
-        told = [source.own_controls for source in sources if isinstance(source, Controller)]
-        self._own_controls = told[0] if told else lambda controls, *_: controls
+        drivers = (source.own_controls for source in sources if isinstance(source, Controller))
+        self._own_controls = next(drivers, lambda controls, *_: controls)
         names = [name for source, _ in self._sources for name in source.channel_units]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(f"every channel needs a name of its own, there are several of {', '.join(twice)}")
@@ -154,11 +154,6 @@ class Log:
             InputError: a reference is malformed, or shorter than the steps.
         """
         arm, model, rows = self._simulation.arm, self._simulation.model, self._rows
-        known = (
-            as_floats("q_ref", q_ref, (arm.n_joints,), batched=True),
-            as_floats("qd_ref", qd_ref, (arm.n_joints,), batched=True),
-        )
-        q_ref, qd_ref = (as_floats("reference", value[:rows], (rows, arm.n_joints)) for value in known)
         log = {
             name: np.frombuffer(stream.getvalue(), count=rows * view.size).reshape(rows, *view.shape)
             for name, (stream, view) in self._log.items()
@@ -175,8 +170,8 @@ class Log:
             t=self._simulation.timestep * np.arange(self._first, self._first + rows, dtype=float),
             q=q,
             qd=arm.rates(q, log["qvel"]),
-            q_ref=q_ref.copy(),
-            qd_ref=qd_ref.copy(),
+            q_ref=as_floats("q_ref", q_ref, ("M", arm.n_joints))[:rows].copy(),
+            qd_ref=as_floats("qd_ref", qd_ref, ("M", arm.n_joints))[:rows].copy(),
             ctrl=self._own_controls(controls, log["qpos"], log["qvel"]),
             force=np.nan_to_num(log["actuators"]) @ basis,
             constraint_force=np.nan_to_num(log["constraints"]) @ basis,

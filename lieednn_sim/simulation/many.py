@@ -25,7 +25,6 @@ from lieednn_sim.simulation.tracking import (
     as_hold,
     as_loaded,
     as_motion,
-    as_reference,
     at_rest_after,
     joined,
     make_controlled,
@@ -110,7 +109,7 @@ def simulate_many(
 
     def work(first: int) -> None:
         """Simulate every ``workers``-th motion from ``first`` on with one controller and plant: making them is slow."""
-        reference = as_reference(arm, chosen[first], total, None)
+        reference = Reference(arm, total)
         driver, simulation = make_controlled(arm, controller, reference, changes)
         for index in range(first, len(chosen), workers):
             reference.forget(reference.known)
@@ -125,8 +124,7 @@ def simulate_many(
             ctrl[index] = controls
 
     with QuietWarnings(), ThreadPoolExecutor(workers) as pool:
-        for _ in pool.map(work, range(workers)):
-            pass
+        list(pool.map(work, range(workers)))
     t = arm.timestep * np.arange(total, dtype=float)
     return Rollouts(arm, tuple(motions), t, q, qd, ctrl, dict(sorted(failures.items())), settings)
 

@@ -80,12 +80,6 @@ def at_rest_after(motion: Motion, rows: int) -> tuple[Floats, Floats]:
     return np.pad(motion.q, extra, "edge"), np.pad(motion.qd, extra)
 
 
-def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Reference:
-    """A motion and the rest at its end, seen at a rate [Hz] or at every step."""
-    hold = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
-    return Reference.of(arm, *at_rest_after(motion, rows), hold=hold)
-
-
 def default_controller(arm: Arm) -> str:
     """Name of the controller that `simulate` takes by default.
 
@@ -144,10 +138,12 @@ def simulate(
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     rest = round(as_hold(hold) / arm.timestep)
     if isinstance(motion, PlanSequence):
-        reference = _reference_of(arm, motion, rate)
+        q, qd = _coordinates_of(arm, motion)
     else:
         motion = as_motion(arm, motion)
-        reference = as_reference(arm, motion, len(motion.t) + rest, rate)
+        q, qd = at_rest_after(motion, len(motion.t) + rest)
+    held = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
+    reference = Reference.of(arm, q, qd, hold=held)
     total, end = len(motion.t) + rest, float(motion.t[-1])
     steps = [] if sequence is None else [part.step for part in sequence.parts]
     # Events may come later than planned, at most by all of their time.
@@ -196,16 +192,15 @@ def simulate(
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
-def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Reference:
-    """The rows of a sequence in an arm's coordinates; the last one also serves for the rest after it."""
+def _coordinates_of(arm: Arm, sequence: PlanSequence) -> tuple[Floats, Floats]:
+    """Joint coordinates and rates ``(K, n)`` of a sequence; the last row also serves for the rest after it."""
     if sequence.qpos.shape[1] != arm.model.nq or sequence.arm.joint_names != arm.joint_names:
         raise InputError(
             f"the sequence is of another model or of other joints: it has {sequence.qpos.shape[1]} positions and "
             f"moves {', '.join(sequence.arm.joint_names)}"
         )
     q = arm.coordinates(sequence.qpos)
-    hold = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
-    return Reference.of(arm, q, arm.rates(q, sequence.qvel), hold=hold)
+    return q, arm.rates(q, sequence.qvel)
 
 
 class _Play:
@@ -243,13 +238,12 @@ class _Play:
                 # The arm rests, so that the rows of the step are all the same.
                 yield min(part.first + done, part.last - 1)
                 done += 1
-                try:
-                    over = gripping.over(simulation.data, done)
-                except LookupError as error:
+                over = gripping.over(simulation.data, done)
+                if gripping.late:
                     raise SimulationError(
                         f"step {number + 1}, {part.step.name!r}, begun at {self.begun[-1][0]:.2f} s: its event does "
-                        f"not come: {error.args[0]}"
-                    ) from None
+                        f"not come: {gripping.late}"
+                    )
         self.end = simulation.time
         yield from repeat(len(sequence.t) - 1, self._rest + 1)
 

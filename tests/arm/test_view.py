@@ -14,7 +14,8 @@ from mechanisms import MODEL, TOOL, body, compiled, connect, hinge, random_world
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.clearance_bounds import ClearanceBounds
-from lieednn_sim.arm.collision import Collisions, ContactSlopes
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.importer import remarks
 from lieednn_sim.errors import InputError, NoSolutionError
 

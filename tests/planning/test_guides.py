@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lieednn_sim.arm.collision import Collisions, ContactSlopes
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics

@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling, search_space
 from lieednn_sim.planning.baselines.search_space import EdgeTest
-from lieednn_sim.planning.joint_space import ClearanceTest, Workspace
+from lieednn_sim.planning.joint_space import ClearanceTest, ProblemClearance
 from lieednn_sim.planning.motion import joint_scale
 
 
@@ -25,8 +25,8 @@ from lieednn_sim.planning.motion import joint_scale
 def test_the_margin_is_what_both_ends_keep_themselves(gantry, at_start, at_target, margin):
     """The ball is so far from the floor."""
     start, target, near = (np.array([0.0, 0.0, gap - 0.9, 0.0]) for gap in (at_start, at_target, 0.001))
-    workspace = Workspace(PlanningProblem(gantry, start, target), 0.05)
-    assert workspace.clear.lack(near[None]) == pytest.approx(margin - 0.001, abs=1e-6)
+    clear = ProblemClearance(PlanningProblem(gantry, start, target), 0.05)
+    assert clear.lack(near[None]) == pytest.approx(margin - 0.001, abs=1e-6)
 
 
 def test_what_pairs_lack_is_counted_once_each(gantry, monkeypatch):

@@ -91,7 +91,7 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
     start, target = ARM.keyframe("home"), ARM.keyframe("extended")
     attempts = []
 
-    def straight(_problem, _workspace, _options, _planner, attempt):
+    def straight(_problem, _clear, _options, _planner, attempt):
         attempts.append(attempt)
         return np.array([start, target])
 
@@ -126,8 +126,8 @@ def test_they_improve_on_what_is_found_first(name, tests):
     task, options = blocked(7), RrtStarOptions(max_collision_checks=(tests,), shortcuts=1, longest_edge=0.2)
 
     def length(by):
-        workspace = sampling.Workspace(task, options.margin)
-        corners = sampling.connecting_path(task, workspace, options, sampling.ompl_search(by), 0)
+        clear = sampling.ProblemClearance(task, options.margin)
+        corners = sampling.connecting_path(task, clear, options, sampling.ompl_search(by), 0)
         return np.linalg.norm(np.diff(corners / joint_scale(POSTED), axis=0), axis=1).sum()
 
     straight = np.linalg.norm((task.target - task.start) / joint_scale(POSTED))

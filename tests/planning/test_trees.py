@@ -14,7 +14,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PLANNERS, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling, trees
 from lieednn_sim.planning.baselines.trees import connected
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import ProblemClearance
 
 from .test_planners import plan_with
 from .test_rivals import POSTED, blocked
@@ -138,13 +138,13 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     # From the other end it is the same search, which begins at the end that has less room.
     back = replace(task, start=task.target, target=task.start)
     search = sampling.balanced_search
-    spaces = [(one, Workspace(one, options.margin)) for one in (task, back)]
+    spaces = [(one, ProblemClearance(one, options.margin)) for one in (task, back)]
     there, home = (sampling.connecting_path(*one, options, search, 0) for one in spaces)
     for narrow, wide in (tree["ends"] for tree in used[-2:]):
         np.testing.assert_allclose(narrow * task.start, wide * task.target, atol=1e-12)
     for corners, one in ((there, task), (home, back)):
         np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
-    again = sampling.connecting_path(task, Workspace(task, options.margin), options, search, 0)
+    again = sampling.connecting_path(task, ProblemClearance(task, options.margin), options, search, 0)
     np.testing.assert_array_equal(there, again)
     # The second attempt draws others; and who may do no work finds nothing.
     sampling.connecting_path(*spaces[0], options, search, 1)

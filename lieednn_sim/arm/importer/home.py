@@ -103,7 +103,7 @@ def give_controls(
     home = spec.key("home") or spec.add_key(name="home")
     home.qpos, home.qvel, home.act = qpos, [], []
     for key in spec.keys:
-        given = chosen if key is home or key.name == "home" else commands.get(key.name, {})
+        given = chosen if key.name == "home" else commands.get(key.name, {})
         if given or key.name == "home":
             key.ctrl = [given.get(name, holding[name]) for name in names]
 

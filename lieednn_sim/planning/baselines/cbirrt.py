@@ -20,7 +20,7 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.sampling import PathOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.smoothing import motion_along_first
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import ProblemClearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
@@ -45,12 +45,12 @@ def sscbirrt(problem: PlanningProblem, options: PathOptions) -> Motion:
 
 def _plan(problem: PlanningProblem, options: PathOptions, name: str, search: _Search) -> Motion:
     optional_module(name)
-    workspace = Workspace(problem, options.margin)
+    clear = ProblemClearance(problem, options.margin)
 
     @cache
     def corners(attempt: int) -> Floats | None:
-        edges = EdgeTest(problem.arm, workspace, options.spacings[attempt])
-        workspace.clear.tests = 0
+        edges = EdgeTest(problem.arm, clear, options.spacings[attempt])
+        clear.tests = 0
         longest_edge = options.longest_edge * float(np.linalg.norm(np.ptp(edges.bounds, axis=1)))
         seed = int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0])
         ends = (problem.start / edges.scale, problem.target / edges.scale)

@@ -19,8 +19,7 @@ from lieednn_sim.values import Floats
 def minimum_jerk(problem: PlanningProblem, *, guiding: bool = False) -> Motion:
     """A straight line in joint space, q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
-    The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. The poses are those of the joints, so there is no
-    mechanism gap. For ``guiding``, and for what it raises, see `joint_motion`.
+    The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. For ``guiding``, and errors, see `joint_motion`.
     """
     _, sigma, rate = _schedule(problem)
     change = problem.target - problem.start

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning.joint_space import SPLINE_DEGREE, ClearanceTest, Workspace, clamped_knots, joint_motion
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, ClearanceTest, ProblemClearance, clamped_knots, joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
@@ -43,9 +43,6 @@ class OptimisationOptions(PlannerOptions):
         evaluations: largest number of evaluations of the cost in a descent.
         guesses: number of first guesses to descend from.
         drawn: number of bent guesses drawn; the clearest are used.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     margin: float = 0.01
@@ -81,7 +78,7 @@ class _Descent:
     def __init__(self, problem: PlanningProblem, options: OptimisationOptions) -> None:
         self.problem, self.arm, self.options = problem, problem.arm, options
         intervals, count = options.intervals, options.instants
-        self.workspace, self.scale = Workspace(problem, options.margin), joint_scale(problem.arm)
+        self.clear, self.scale = ProblemClearance(problem, options.margin), joint_scale(problem.arm)
         self.near = ClearanceTest(problem.arm, _INFLUENCE)
         # The minimum-jerk motion of free space is such a quintic.
         control = intervals + SPLINE_DEGREE
@@ -131,7 +128,7 @@ class _Descent:
             drawn.append(control.ravel())
             check_time()
             positions = self.scale * (self.weighed[0] @ self._control(control))
-            blocked.append(sum(not self.workspace.clear(q) for q in positions))
+            blocked.append(sum(not self.clear(q) for q in positions))
         for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
 
@@ -189,7 +186,7 @@ class _Descent:
             check_time()
             if self.near(position):
                 continue
-            result = self.workspace.collisions.distances(position, _INFLUENCE)
+            result = self.clear.collisions.distances(position, _INFLUENCE)
             hinge = 1.0 - result.distance / _INFLUENCE
             value[k] = math.sqrt(hinge @ hinge)
             slope[k] = -(hinge @ result.jacobian) / (_INFLUENCE * max(value[k], 1e-12))

@@ -21,7 +21,7 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.search_space import SearchSpace
 from lieednn_sim.planning.baselines.smoothing import Paths, SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import ProblemClearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
@@ -121,7 +121,7 @@ def paths(problem: PlanningProblem, options: PathOptions, name: str) -> Paths:
     """The paths of the planner with a name of `METHODS`."""
     balanced = isinstance(options, RrtConnectOptions) and options.balanced
     search = balanced_search if balanced else ompl_search(name)
-    return cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
+    return cache(partial(connecting_path, problem, ProblemClearance(problem, options.margin), options, search))
 
 
 rrt_connect = sampling_planner("rrt-connect")
@@ -132,15 +132,15 @@ aorrtc = sampling_planner("aorrtc")
 
 
 def connecting_path(
-    problem: PlanningProblem, workspace: Workspace, options: PathOptions, search: Search, attempt: int
+    problem: PlanningProblem, clear: ProblemClearance, options: PathOptions, search: Search, attempt: int
 ) -> Floats | None:
-    """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace with the margin; or None.
+    """Corners ``(M, n)`` of a shortened path from start to target, clear with the margin; or None.
 
     The search is `balanced_search`, or `ompl_search` of a name. Each attempt has other samples, and later ones a finer
     spacing; earlier calls change nothing. `LieEDNNError` if OMPL is not installed.
     """
     util = optional_module("ompl.util")
-    workspace.clear.tests = 0
+    clear.tests = 0
     level = util.getLogLevel()
     util.setLogLevel(util.LOG_NONE)
     try:
@@ -148,7 +148,7 @@ def connecting_path(
         # allowed.
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
-        space = SearchSpace(problem, workspace, options.spacings[min(attempt, len(options.spacings) - 1)])
+        space = SearchSpace(problem, clear, options.spacings[attempt])
         waypoints = search(space, options, seed)
         return None if waypoints is None else space.corners(waypoints, options.shortcuts)
     finally:
@@ -168,8 +168,7 @@ def ompl_search(name: str) -> Search:
         objective.setCostThreshold(base.Cost((1.0 + 1e-9) * straight))
         definition.setOptimizationObjective(objective)
         # Informed RRT* fails where start and target are one: there is no ellipsoid to sample in.
-        method = METHODS[name if straight > 0.0 else "rrt-connect"]
-        planner = getattr(geometric, method)(space.information)
+        planner = getattr(geometric, METHODS[name if straight > 0.0 else "rrt-connect"])(space.information)
         if hasattr(planner, "setRange"):
             planner.setRange(options.longest_edge * space.information.getMaximumExtent())
         planner.setProblemDefinition(definition)

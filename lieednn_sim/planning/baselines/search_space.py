@@ -16,7 +16,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, out_of_time
-from lieednn_sim.planning.joint_space import Workspace, sweeps
+from lieednn_sim.planning.joint_space import ClearanceTest, ProblemClearance, sweeps
 from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
@@ -24,7 +24,7 @@ from lieednn_sim.values import Floats
 
 
 class EdgeTest:
-    """Tests of points and edges in a workspace, which counts the configurations tested; independent of OMPL.
+    """Tests of points and edges, which counts the configurations tested; independent of OMPL.
 
     On an edge, a link frame moves by at most about ``spacing`` [m] from one tested configuration to the next.
 
@@ -36,8 +36,8 @@ class EdgeTest:
         weight: ``(n,)`` the same, but at least a tenth of its largest entry: weights for distances in the workspace.
     """
 
-    def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
-        self._arm, self._clear = arm, workspace.clear
+    def __init__(self, arm: Arm, clear: ClearanceTest, spacing: float) -> None:
+        self._arm, self._clear = arm, clear
         self.scale, self.limits = joint_scale(arm), arm.position_limits
         self.bounds = self.limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
@@ -92,13 +92,13 @@ class SearchSpace:
         information: OMPL's space information.
     """
 
-    def __init__(self, problem: PlanningProblem, workspace: Workspace, spacing: float) -> None:
+    def __init__(self, problem: PlanningProblem, clear: ProblemClearance, spacing: float) -> None:
         base, n = optional_module("ompl.base"), problem.arm.n_joints
         self._problem = problem
         # Callbacks must not hold OMPL's objects: such reference cycles are never collected.
-        self.edges = edges = EdgeTest(problem.arm, workspace, spacing)
+        self.edges = edges = EdgeTest(problem.arm, clear, spacing)
         ends = problem.start, problem.target
-        self.ends = ends if workspace.distances[0] <= workspace.distances[1] else ends[::-1]
+        self.ends = ends if clear.distances[0] <= clear.distances[1] else ends[::-1]
         self._space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint, (low, high) in enumerate(edges.bounds):

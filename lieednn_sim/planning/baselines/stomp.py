@@ -27,7 +27,7 @@ from scipy.linalg import solve_triangular
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning.joint_space import SPLINE_DEGREE, Workspace, clamped_knots, joint_motion, sweeps
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, ProblemClearance, clamped_knots, joint_motion, sweeps
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
@@ -111,7 +111,7 @@ class StompSearch:
         # The excess of a ball joint is that of its angle, repeated for its three coordinates.
         self._weights = np.ones(problem.arm.n_joints)
         self._weights[problem.arm.space.balls] = 1.0 / 3.0
-        self._clear, self._density = Workspace(problem, options.margin).clear, sweeps(problem.arm) / spacing
+        self._clear, self._density = ProblemClearance(problem, options.margin), sweeps(problem.arm) / spacing
         differences = np.eye(n, k=-1) - 2.0 * np.eye(n) + np.eye(n, k=1)
         self.metric = differences.T @ differences
         inverse = np.linalg.inv(self.metric)
@@ -167,8 +167,7 @@ class StompSearch:
         low, high = arm.position_limits.T
         paths = np.clip(self.path + spread * arm.ranges * self.noise(self.options.rollouts), low, high)
         costs = np.array([self.costs(path) for path in paths])
-        weights = noise_weights(costs)
-        step = np.einsum("kt,ktj->tj", weights, paths - self.path)
+        step = np.einsum("kt,ktj->tj", noise_weights(costs), paths - self.path)
         average = np.clip(self.path + self.smoother @ step, low, high)
         best = int(costs.sum(axis=1).argmin())
         tried = ((average, self.costs(average)), (paths[best], costs[best]))

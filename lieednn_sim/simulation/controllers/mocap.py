@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import actuator_moments, driving
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations
-from lieednn_sim.simulation.actuators import driving_actuators
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import AHEAD, Foreseen, Reference, runs
@@ -62,7 +62,7 @@ class MocapWelds(Controller):
         self._ids = plant.body_mocapid[[plant.body(name).id for name in names]]
         bodies = np.argsort(plant.body_mocapid)[-plant.nmocap :]
         self._rest = np.hstack([plant.body_pos[bodies], plant.body_quat[bodies]])
-        idle = driving_actuators(self._arm)
+        idle = driving(actuator_moments(self._arm.model), self._arm.unit_rates())
         plant.actuator_gainprm[idle], plant.actuator_biasprm[idle] = 0.0, 0.0
 
     def mocap_poses(self, steps: range) -> Floats:
