@@ -42,6 +42,8 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
     data = mujoco.MjData(model) if data is None else data
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
+    if model.nflex:
+        mujoco.mj_flex(model, data)
     return data
 
 
