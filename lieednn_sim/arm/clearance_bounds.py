@@ -119,8 +119,6 @@ class ClearanceBounds:
             at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
         except NoSolutionError:
             return np.full(len(q), -1.0), np.full((len(q), 2), -1)
-        if not len(at):
-            return np.full(len(q), cutoff), np.full((len(q), 2), -1)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
         return _least(found, at, pairs, len(q), cutoff)
 
@@ -142,11 +140,8 @@ class ClearanceBounds:
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = ((reach * widest[:, None]) @ self._still).reshape(len(q), -1)
         moved = table.take(self._places[0], axis=1) + table.take(self._places[1], axis=1)
-        at, index, gaps, points = self._collisions.separations(
-            place.geoms, place.turns, moved + (cutoff + self._margin)
-        )
-        if not (counted := self._counted[index]).all():
-            at, index, gaps, points = at[counted], index[counted], gaps[counted], points[counted]
+        near = np.where(self._counted, moved + (cutoff + self._margin), -np.inf)
+        at, index, gaps, points = self._collisions.separations(place.geoms, place.turns, near)
         if not len(at):
             return at, self._collisions.pairs[:0], np.empty((2, 0, 1)), np.empty((2, 0)), np.empty((0, 1)), gaps
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)

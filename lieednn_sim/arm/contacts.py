@@ -23,6 +23,7 @@ _LEFT, _ROUNDING = 0.1, 1e-9
 _SIZED = [
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
 ]
+Offsets = Mapping[tuple[int, int], float]
 _NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 
 
@@ -35,7 +36,7 @@ class ContactOffsets:
     ``given`` are offsets [m] that replace the model's for some pairs of geoms, by the ids of both.
     """
 
-    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
+    def __init__(self, model: mujoco.MjModel, given: Offsets) -> None:
         # In contacts with a flex, the other geom's id is -1, which is here the last entry.
         self._margins = np.append(model.geom_margin, model.flex_margin.max(initial=0.0))
         own = np.array(model.pair_margin)
@@ -72,11 +73,7 @@ class ContactFinder:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        margin: float = 0.0,
-        offsets: Mapping[tuple[int, int], float] | None = None,
-        leaving: Floats | None = None,
+        self, model: mujoco.MjModel, margin: float = 0.0, offsets: Offsets | None = None, leaving: Floats | None = None
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
@@ -220,9 +217,7 @@ def without_clearance(model: mujoco.MjModel) -> str:
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """The name of a geom in messages; a geom without a name is called after its body, a flex has the id -1."""
-    if geom < 0:
-        return "a flex"
-    return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+    return "a flex" if geom < 0 else model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
 
 def fixed_body(model: mujoco.MjModel, name: str) -> int:

@@ -249,7 +249,7 @@ def proved_clearance(
         doubtful = next(map(tuple, pairs[last].tolist()), doubtful)
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
-    stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
+    stretches = step * _joined(unproved)
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1] - t[0])
     # Without any time that is proved, up to rounding, there is no bound.
     bound = bound if proved > 1e-9 else -np.inf
@@ -315,14 +315,12 @@ def _divided(begin: Floats, end: Floats, chosen: NDArray[np.bool_]) -> tuple[Flo
     return np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts])
 
 
-def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The sorted intervals, with adjacent ones joined."""
-    result: list[tuple[float, float]] = []
-    for begin, end in intervals:
-        if result and result[-1][1] == begin:
-            begin = result.pop()[0]
-        result.append((begin, end))
-    return result
+def _joined(intervals: list[tuple[float, float]]) -> Floats:
+    """The intervals ``(U, 2)`` in order, with adjacent ones joined."""
+    edges = np.array(sorted(intervals), dtype=float).reshape(-1, 2)
+    apart = edges[1:, 0] != edges[:-1, 1]
+    first, last = (np.append(*ends)[: len(edges)] for ends in ((True, apart), (apart, True)))
+    return np.column_stack([edges[first, 0], edges[last, 1]])
 
 
 def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:

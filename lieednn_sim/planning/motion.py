@@ -49,8 +49,7 @@ class Motion:
         check_fields(self, as_times, "t")
         k, steps = len(self.t), np.diff(self.t)
         if np.ptp(steps) > 1e-3 * steps[0]:
-            rises = f"rises by {steps.min():g} to {steps.max():g} s"
-            raise InputError(f"t must rise by one time step, but {rises}: interpolate the motion")
+            raise InputError(f"t must rise by one time step, but rises by {steps.min():g} to {steps.max():g} s")
         check_fields(self, as_floats, "xi_target", shape=("N", 6))
         check_fields(self, as_floats, "q", shape=(k, "n"))
         n, joints = len(self.xi_target), self.q.shape[1]
