@@ -107,13 +107,14 @@ class Cubics:
 
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, in steps, at which the velocity of a joint changes its sign."""
-        first, last = self._ends
+        before, after, (first, last) = self._moved[:-1], self._moved[1:], self._ends
+        at = k, _ = np.nonzero((before * after < 0.0) | (first * last < 0.0))
+        rate, first, jerk = before[at], first[at], (last - first)[at]
         with np.errstate(divide="ignore", invalid="ignore"):
-            # Both roots of rate + first s + (last - first) s^2 / 2, without cancellation.
-            root = np.sqrt(first**2 - 2.0 * self._moved[:-1] * (last - first))
-            half = -0.5 * (first + np.copysign(root, first))
-            roots = np.array([2.0 * half / (last - first), self._moved[:-1] / half])
-        return (np.arange(len(first))[:, None] + roots)[(roots > 0.0) & (roots < 1.0)]
+            # Both roots of rate + first s + jerk s^2 / 2, without cancellation.
+            half = -0.5 * (first + np.copysign(np.sqrt(first**2 - 2.0 * rate * jerk), first))
+            roots = np.array([2.0 * half / jerk, rate / half])
+        return (k + roots)[(roots > 0.0) & (roots < 1.0)]
 
     def fastest(self) -> Floats:
         """Largest rates ``(K - 1, n)`` between samples, times the step; 0 where those at the samples are larger."""
