@@ -42,8 +42,7 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
     data = mujoco.MjData(model) if data is None else data
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    if model.nflex:
-        mujoco.mj_flex(model, data)
+    mujoco.mj_flex(model, data)
     return data
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.checks import BALL, SLIDE, ancestry
-from lieednn_sim.arm.collision import AT_ONCE, Collisions, Places
+from lieednn_sim.arm.collision import AT_ONCE, ROUNDED, Collisions, Places
 from lieednn_sim.arm.contacts import moving_geoms, without_clearance
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
@@ -310,10 +310,12 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, Ints, Floats, Floats, Floats,
     box = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     segment = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     hulls, counts, radii = np.zeros((model.ngeom, len(prism), 3)), np.ones(model.ngeom, int), np.zeros(model.ngeom)
-    flat, oval, meshes, kinds = np.zeros((model.ngeom, 3)), np.zeros((model.ngeom, 3)), {}, mujoco.mjtGeom
+    kinds, meshes = mujoco.mjtGeom, dict[int, Floats]()
+    own = (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID)  # others follow
+    flat, oval = (np.where(model.geom_type[:, None] == int(kind), model.geom_size, 0.0) for kind in own)
     for geom in range(model.ngeom):
-        kind, size, center = kinds(model.geom_type[geom]), model.geom_size[geom], model.geom_aabb[geom, :3]
-        corners = center + box * model.geom_aabb[geom, 3:]
+        kind, size, aabb = kinds(model.geom_type[geom]), model.geom_size[geom], model.geom_aabb[geom]
+        corners = aabb[:3] + box * (aabb[3:] + ROUNDED * np.abs(aabb).sum())
         if kind == kinds.mjGEOM_SPHERE:
             corners, radii[geom], oval[geom] = np.zeros((1, 3)), size[0], size[0]
         elif kind == kinds.mjGEOM_CAPSULE:
@@ -322,10 +324,6 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, Ints, Floats, Floats, Floats,
             corners, oval[geom, :2], flat[geom, 2] = prism * [size[0], size[0], size[1]], size[0], size[1]
         elif kind == kinds.mjGEOM_PLANE:
             corners = np.zeros((1, 3))
-        elif kind == kinds.mjGEOM_ELLIPSOID:
-            oval[geom] = size
-        elif kind == kinds.mjGEOM_BOX:
-            flat[geom] = size
         elif kind == kinds.mjGEOM_MESH:
             mesh = int(model.geom_dataid[geom])
             meshes[geom] = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]].astype(float)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +35,7 @@ __all__ = ["Collisions"]
 _PLANE_SIZE = 1e6  # a plane is a half-space: for the bounds, a box of this half size [m]
 AT_ONCE = 32  # configurations whose pairs of geoms are in memory at once
 _SLACK = 1e-9  # rounding of the bounds [m]
+ROUNDED = 2e-7  # and that of meshes, whose corners have single precision, as a share of their bounding boxes
 
 
 class Distances(NamedTuple):
@@ -50,15 +50,13 @@ class Places:
     """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
-        count = len(qpos)
-        self.geoms, self.turns = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 9))
-        self.anchors, self.axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
-        self.bodies = np.empty((count, model.nbody, 9))
+        counts = (model.ngeom, 3), (model.ngeom, 9), (model.njnt, 3), (model.njnt, 3), (model.nbody, 9)
+        self.geoms, self.turns, self.anchors, self.axes, self.bodies = (np.empty((len(qpos), *k)) for k in counts)
         for k, data.qpos[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
             self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
-        self.turns = self.turns.reshape(count, model.ngeom, 3, 3)
+        self.turns = self.turns.reshape(*self.geoms.shape, 3)
 
 
 class Collisions:
@@ -87,7 +85,8 @@ class Collisions:
         self.fields = (model.geom_type[self.pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         used = np.flatnonzero(np.bincount(self.pairs.ravel(), minlength=model.ngeom))
         self._used, (self._first, self._second) = used, np.searchsorted(used, self.pairs.T)
-        self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
+        self._center, self._half = np.hsplit(model.geom_aabb[used], 2)
+        self._half = self._half + ROUNDED * np.abs(model.geom_aabb[used]).sum(axis=1, keepdims=True)
         planes = model.geom_type[used] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
@@ -200,14 +199,13 @@ class Collisions:
         distance, segments, nearer = np.empty(len(at)), np.empty((len(at), 6)), np.empty(6)
         pairs, fields = self.pairs[index].tolist(), self.fields[index].tolist()
         rows = zip(at.tolist(), pairs, limits.tolist(), segments, fields, strict=True)
-        measure = partial(mujoco.mj_geomDistance, self.arm.geometry, self._data)
         for row, (k, pair, limit, segment, field) in enumerate(rows):
             if k != last:
                 self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            least = measure(*pair, limit, segment)
+            least = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
             # MuJoCo takes the least of the first 50 prisms of a height field within the limit: others may be nearer.
             while field and 0.0 < least < limit:
-                limit, least = least, measure(*pair, least, nearer)
+                limit, least = least, mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, least, nearer)
                 segment[:] = nearer if least < limit else segment
             distance[row] = least
         kept = distance < limits

@@ -204,9 +204,9 @@ def colliding_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
 
 def without_clearance(model: mujoco.MjModel) -> str:
     """A warning about colliding geoms and flexes from which no clearance can be kept; empty without any."""
-    blind = np.flatnonzero(colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF)))
+    blind = colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF))
     flexes = np.flatnonzero(model.flex_contype | model.flex_conaffinity)
-    names = [geom_name(model, int(geom)) for geom in blind]
+    names = [geom_name(model, int(geom)) for geom in np.flatnonzero(blind)]
     names += [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, int(flex)) or "a flex" for flex in flexes]
     shown = ", ".join(map(repr, names))
     return shown and (
