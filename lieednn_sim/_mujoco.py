@@ -42,6 +42,7 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
     data = mujoco.MjData(model) if data is None else data
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_flex(model, data)
     return data
 
 

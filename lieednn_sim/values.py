@@ -18,6 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]  # real arrays; their shapes are documented where they are used
+Ints = NDArray[np.int_]
 StrPath = str | os.PathLike[str]
 _Class = TypeVar("_Class")
 

@@ -166,7 +166,7 @@ class Arm(ModelArm):
             clearance: distance that planned motions keep from contact, start and target included [m].
 
         Warns:
-            UserWarning: the model has colliding geoms of the type sdf, from which motions keep no clearance.
+            UserWarning: the model has flexes, or geoms of the type sdf, from which motions keep no clearance.
 
         Raises:
             InputError: the joints do not form an arm, or data belongs to another model or is not finite.

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.checks import BALL, SLIDE, ancestry
-from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
-from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.arm.collision import AT_ONCE, ROUNDED, Collisions, Places
+from lieednn_sim.arm.contacts import moving_geoms, without_clearance
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, Ints
 
 _TOUCHING = 1e-6  # distance below which normals are lost in rounding, so that nothing is proved [m]
 
@@ -41,13 +41,14 @@ class ClearanceBounds:
         own: whether the arm's own parts, its base included, count against each other.
 
     Raises:
-        InputError: a geom that could touch another is of the type sdf, or is moved by a closed loop or a curve
-            (`Arm.dependents`), for which there is no bound.
+        InputError: there is a flex, or a geom that could touch another is of the type sdf, or is moved by a closed loop
+            or a curve (`Arm.dependents`), for which there is no bound.
     """
 
     def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0, own: bool = True) -> None:
         model, n = arm.model, arm.n_joints
         self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
+        self.names = self._collisions.names
         _check_provable(arm, self._collisions.pairs)
         self._data = mujoco.MjData(model)
         self._members = np.zeros((len(groups), n))
@@ -67,7 +68,7 @@ class ClearanceBounds:
         bodies, which = np.unique(model.body_weldid[model.geom_bodyid], return_inverse=True)
         moves = [arm.moved_by(body)[model.jnt_dofadr] for body in bodies.tolist()]
         self._moves = np.array(moves, dtype=bool).reshape(-1, model.njnt)[which]
-        self._hulls, self._counts, self._round = _hulls(model)
+        self._hulls, self._counts, self._round, self._flat, self._oval, self._meshes = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         # Geoms that the same joints move form a group. `_still` says which joints do not move each group; `_places` has
         # the index of each geom of a pair, with the other geom's group, in a flattened table of geoms and groups.
@@ -79,7 +80,7 @@ class ClearanceBounds:
 
     def __call__(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, most: float
-    ) -> tuple[Floats, Floats, Pairs]:
+    ) -> tuple[Floats, Floats, Ints]:
         """Largest scales s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
 
         ``q`` and ``path`` are ``(I, n)``; ``rest`` ``(I, 2, n)`` has the bounds with the path and without it (c = 0).
@@ -103,7 +104,7 @@ class ClearanceBounds:
         there, limiting = _least(found[1], at, pairs, len(q), most)
         return whole, there, limiting
 
-    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
+    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Ints]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
         ``q``, ``path`` and ``rest`` are ``(I, n)``. A bound is at most the cutoff [m], and at least -1, its value where
@@ -118,14 +119,12 @@ class ClearanceBounds:
             at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
         except NoSolutionError:
             return np.full(len(q), -1.0), np.full((len(q), 2), -1)
-        if not len(at):
-            return np.full(len(q), cutoff), np.full((len(q), 2), -1)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
         return _least(found, at, pairs, len(q), cutoff)
 
     def _rows(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
-    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
+    ) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
         Returns:
@@ -134,50 +133,42 @@ class ClearanceBounds:
             scale s takes ``(P, V)`` times s plus ``(P,)`` times s^2 of it.
         """
         qpos = self._arm.qpos(q)
-        place = _Places(self._arm.model, self._data, qpos)
+        place = Places(self._arm.model, self._data, qpos)
         # Component by component, which takes a quarter of the time of norms over a short axis.
         x, y, z = (place.geoms[..., k, None] - place.anchors[:, None, :, k] for k in range(3))
         levers = np.sqrt(x * x + y * y + z * z) + self._radius[:, None]
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = ((reach * widest[:, None]) @ self._still).reshape(len(q), -1)
         moved = table.take(self._places[0], axis=1) + table.take(self._places[1], axis=1)
-        at, index, gaps, points = self._collisions.separations(
-            place.geoms, place.turns, moved + (cutoff + self._margin)
-        )
-        if not (counted := self._counted[index]).all():
-            at, index, gaps, points = at[counted], index[counted], gaps[counted], points[counted]
+        near = np.where(self._counted, moved + (cutoff + self._margin), -np.inf)
+        at, index, gaps, points = self._collisions.separations(place.geoms, place.turns, near)
         if not len(at):
             return at, self._collisions.pairs[:0], np.empty((2, 0, 1)), np.empty((2, 0)), np.empty((0, 1)), gaps
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
-        rates = np.ascontiguousarray(self._arm.unit_rates(q))
-        places, come, deviated, levers = self._corners(
-            place, at, moving, normals, alone, rates, path[at], rest[at], spread[at]
-        )
+        ways = np.ascontiguousarray(self._arm.unit_rates(q))[at], path[at], rest[at], spread[at]
+        places, come, deviated, levers = self._corners(place, at, moving, normals, alone, *ways)
         # What joints do that move only the other geom, as in a branch of the arm, is bounded by its reach.
         also = reach[at, fixed] * (self._moves[fixed] & ~self._moves[moving])
         taken = steps[:, at]
         constant, linear, square = self._rests(alone, levers, taken)
         constant, linear = constant + (also * taken[:2]).sum(axis=-1), linear + (also * taken[2]).sum(axis=-1)
         slope = deviated + linear[..., None]
-        # The distance of each corner from the plane at the other geom, and of all of them by the measured gap.
-        within = np.matvec(self._points(fixed), np.vecmat(normals, place.turns[at, fixed])).max(axis=1)
-        support = np.vecdot(place.geoms[at, fixed], normals) + within + self._round[fixed] + margin
-        free = places - come - support[:, None] - constant[..., None]
+        # The distance of each corner from the plane at the other geom, and of all of them by the measured gap, of which
+        # no more counts than what lies between the geoms along the normal: MuJoCo's solvers are not exact.
+        support, behind = self._reaches(place, at, fixed, normals), self._reaches(place, at, moving, -normals)
+        hollow = self._collisions.fields[index]
+        gaps = np.where(hollow, gaps, np.minimum(gaps, -behind - support))
+        free = places - come - (support + margin)[:, None] - constant[..., None]
         gap = gaps - margin - come.max(axis=-1, initial=0.0) - constant
-        # No plane separates geoms that are not convex, and geoms that touch have no normal.
+        # Geoms that touch have no normal, and no plane separates geoms that are not convex.
         touching = gaps - margin <= _TOUCHING
         free[:, touching], gap[:, touching] = np.minimum(free[:, touching], 0.0), np.minimum(gap[:, touching], 0.0)
-        hollow = (self._arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
         gap[1, hollow] = gap[0, hollow]
         return at, pairs, free, gap, slope, square
-
-    def names(self, pair: tuple[int, int]) -> tuple[str, str]:
-        """Names of two geoms."""
-        return self._collisions.names(pair)
 
     def owns(self, pair: tuple[int, int]) -> bool:
         """Whether two geoms are both parts of the arm, its base included."""
@@ -190,9 +181,7 @@ class ClearanceBounds:
             result[..., self._ball_joints] = self._arm.space.angles(q)
         return np.asarray(result)
 
-    def _normals(
-        self, place: _Places, at: NDArray[np.int_], pairs: Pairs, gaps: Floats, points: Floats
-    ) -> tuple[Pairs, Floats]:
+    def _normals(self, place: Places, at: Ints, pairs: Ints, gaps: Floats, points: Floats) -> tuple[Ints, Floats]:
         """Pairs, ordered so that more joints move the second geom, and unit normals ``(P, 3)`` that point to it."""
         normals = (points[:, 1] - points[:, 0]) / np.where(np.abs(gaps) > _TOUCHING, gaps, np.inf)[:, None]
         swapped = self._moves[pairs].sum(axis=2) @ [1, -1] > 0
@@ -202,28 +191,31 @@ class ClearanceBounds:
         normals[planes] = place.turns[at[planes], pairs[planes, 0], :, 2]
         return pairs, normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
-    def _points(self, geoms: NDArray[np.int_]) -> Floats:
+    def _reaches(self, place: Places, at: Ints, geoms: Ints, ways: Floats) -> Floats:
+        """The largest n . x ``(P,)`` of the points x of geoms, for unit vectors n ``(P, 3)`` [m]."""
+        own = np.vecmat(ways, place.turns[at, geoms])
+        reach = np.vecdot(np.abs(own), self._flat[geoms]) + np.linalg.norm(own * self._oval[geoms], axis=1)
+        for geom, corners in self._meshes.items():
+            if (rows := np.flatnonzero(geoms == geom)).size:
+                reach[rows] = (own[rows] @ corners.T).max(axis=1)
+        return np.asarray(reach + np.vecdot(place.geoms[at, geoms], ways))
+
+    def _points(self, geoms: Ints) -> Floats:
         """Corners ``(P, V, 3)`` of the hulls of geoms in their frames, as many as the one with the most has."""
         return self._hulls[geoms, : self._counts[geoms].max(initial=1)]
 
     def _corners(
-        self,
-        place: _Places,
-        at: NDArray[np.int_],
-        geoms: NDArray[np.int_],
-        normals: Floats,
-        alone: Floats,
-        rates: Floats,
-        path: Floats,
-        rest: Floats,
-        spread: Floats,
+        self, place: Places, at: Ints, geoms: Ints, normals: Floats, alone: Floats, *ways: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """How the corners of geoms move along normals if only the joints ``alone`` ``(P, J)`` move them.
+
+        ``ways`` are the rates of the joints, and path, rest and spread of the coordinates.
 
         Returns:
             The positions of the corners along the normals, ``(P, V)``; how far, to first order, they move along them by
             path and rest, ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
+        rates, path, rest, spread = ways
         turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
         axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
@@ -234,16 +226,17 @@ class ClearanceBounds:
         turn = np.swapaxes(axes * self._dof_turns[:, None], -1, -2)
         shift = np.swapaxes(np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes), -1, -2)
         slopes = np.cross(points, ahead) @ turn[at] + ahead @ shift[at]
-        slopes = (slopes * alone[:, None, self._joints]) @ rates[at]
+        slopes = (slopes * alone[:, None, self._joints]) @ rates
         sizes = np.abs(slopes)
         moved = np.abs((slopes @ path[..., None])[..., 0])
         come = (sizes @ np.swapaxes(rest, -1, -2)).transpose(2, 0, 1)
         come[0] += moved
         deviated = (np.sqrt(np.square(slopes) @ np.square(self._members).T) @ spread[..., None])[..., 0]
-        anchors, axes = place.anchors[at], place.axes[at]
-        square = np.square(points).sum(axis=-1)[..., None] - 2.0 * points @ np.swapaxes(anchors, -1, -2)
+        # From the geoms' origins, since squares far from the world's lose digits.
+        anchors, axes = place.anchors[at] - place.geoms[at, geoms][:, None], place.axes[at]
+        square = np.square(turned).sum(axis=-1)[..., None] - 2.0 * turned @ np.swapaxes(anchors, -1, -2)
         square += np.square(anchors).sum(axis=-1)[:, None]
-        along = points @ np.swapaxes(axes, -1, -2) - (anchors * axes).sum(axis=-1)[:, None]
+        along = turned @ np.swapaxes(axes, -1, -2) - (anchors * axes).sum(axis=-1)[:, None]
         along = np.where(self._is_ball, 0.0, along)
         levers = np.where(self._turns, np.sqrt(np.maximum(square - np.square(along), 0.0)).max(axis=1), 1.0)
         places = (points @ normals[..., None])[..., 0] - self._round[geoms][:, None]
@@ -261,21 +254,6 @@ class ClearanceBounds:
         return each[:2], both - each[:2] - each[2], each[2]
 
 
-class _Places:
-    """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
-        count = len(qpos)
-        self.geoms, self.turns = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 9))
-        self.anchors, self.axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
-        self.bodies = np.empty((count, model.nbody, 9))
-        for k, data.qpos[:] in enumerate(qpos):
-            mujoco.mj_kinematics(model, data)
-            self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
-            self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
-        self.turns = self.turns.reshape(count, model.ngeom, 3, 3)
-
-
 def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:
     """The arrays that a function returns for rows ``(I, ...)``, of which it is given at most `AT_ONCE` per call."""
     parts = range(0, len(rows[0]), AT_ONCE)
@@ -283,7 +261,7 @@ def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> 
     return tuple(map(np.concatenate, zip(*made, strict=True)))
 
 
-def _least(found: Floats, at: NDArray[np.int_], pairs: Pairs, count: int, most: float) -> tuple[Floats, Pairs]:
+def _least(found: Floats, at: Ints, pairs: Ints, count: int, most: float) -> tuple[Floats, Ints]:
     """The least of values ``(P,)`` at each of ``count`` configurations, at most ``most``, and the pairs with it."""
     least, limiting = np.full(count, most), np.full((count, 2), -1)
     np.minimum.at(least, at, found)
@@ -292,10 +270,10 @@ def _least(found: Floats, at: NDArray[np.int_], pairs: Pairs, count: int, most: 
     return least, limiting
 
 
-def _check_provable(arm: Arm, pairs: Pairs) -> None:
+def _check_provable(arm: Arm, pairs: Ints) -> None:
     """Raise `InputError` for pairs of geoms whose distances or displacements have no bound."""
-    if (arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_SDF)).any():
-        raise InputError("no proof of clearance: there are geoms of the type sdf, which MuJoCo sees in contact alone")
+    if said := without_clearance(arm.geometry):
+        raise InputError(f"no proof of clearance: {said}")
     if arm.dependents is None:
         return
     model, straight = arm.model, {*arm.dependents.lines, *arm.dependents.sums}
@@ -317,8 +295,13 @@ def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
     return np.where(free > 0.0, np.where(np.isnan(result), np.inf, result), 0.0)
 
 
-def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
-    """Hulls of geoms: corners ``(G, V, 3)`` in their frames, how many are distinct, radii of balls around corners."""
+def _hulls(model: mujoco.MjModel) -> tuple[Floats, Ints, Floats, Floats, Floats, dict[int, Floats]]:
+    """Polytopes around geoms, and their exact shapes, in their frames.
+
+    Returns:
+        Corners ``(G, V, 3)``, how many are distinct, radii of balls around these; then half sizes ``(G, 3)`` of a box
+        and of an ellipsoid, whose sum the geom is; or the corners ``(M, 3)`` of a mesh, by its geom.
+    """
     sides = 12  # of the prism around a cylinder
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1) / np.cos(np.pi / sides)
@@ -327,18 +310,26 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
     box = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     segment = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     hulls, counts, radii = np.zeros((model.ngeom, len(prism), 3)), np.ones(model.ngeom, int), np.zeros(model.ngeom)
-    kinds = mujoco.mjtGeom
+    kinds, meshes = mujoco.mjtGeom, dict[int, Floats]()
+    own = (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID)  # others follow
+    flat, oval = (np.where(model.geom_type[:, None] == int(kind), model.geom_size, 0.0) for kind in own)
     for geom in range(model.ngeom):
-        kind, size, center = kinds(model.geom_type[geom]), model.geom_size[geom], model.geom_aabb[geom, :3]
+        kind, size, aabb = kinds(model.geom_type[geom]), model.geom_size[geom], model.geom_aabb[geom]
+        corners = aabb[:3] + box * (aabb[3:] + ROUNDED * np.abs(aabb).sum())
         if kind == kinds.mjGEOM_SPHERE:
-            corners, radii[geom] = np.zeros((1, 3)), size[0]
+            corners, radii[geom], oval[geom] = np.zeros((1, 3)), size[0], size[0]
         elif kind == kinds.mjGEOM_CAPSULE:
-            corners, radii[geom] = size[1] * segment, size[0]
+            corners, radii[geom], oval[geom], flat[geom, 2] = size[1] * segment, size[0], size[0], size[1]
         elif kind == kinds.mjGEOM_CYLINDER:
-            corners = prism * [size[0], size[0], size[1]]
+            corners, oval[geom, :2], flat[geom, 2] = prism * [size[0], size[0], size[1]], size[0], size[1]
         elif kind == kinds.mjGEOM_PLANE:
             corners = np.zeros((1, 3))
-        else:
-            corners = center + box * model.geom_aabb[geom, 3:]
+        elif kind == kinds.mjGEOM_MESH:
+            mesh = int(model.geom_dataid[geom])
+            meshes[geom] = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]].astype(float)
+            if (start := int(model.mesh_graphadr[mesh])) >= 0:
+                # The graph of its hull: numbers of corners and faces, an entry for each corner, and the corners' ids.
+                count = int(model.mesh_graph[start])
+                meshes[geom] = meshes[geom][model.mesh_graph[start + 2 + count :][:count]]
         hulls[geom], counts[geom] = corners[np.arange(len(prism)) % len(corners)], len(corners)
-    return hulls, counts, radii
+    return hulls, counts, radii, flat, oval, meshes

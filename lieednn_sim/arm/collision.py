@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
@@ -21,15 +21,14 @@ from lieednn_sim.arm.contacts import ContactOffsets, colliding_pairs, geom_name,
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, Ints
 
 __all__ = ["Collisions"]
 
-Pairs = NDArray[np.int_]
-
-_PLANE_SIZE = 1e3  # a plane is a half-space: for the bounds, a box of this half size [m]
+_PLANE_SIZE = 1e6  # a plane is a half-space: for the bounds, a box of this half size [m]
 AT_ONCE = 32  # configurations whose pairs of geoms are in memory at once
 _SLACK = 1e-9  # rounding of the bounds [m]
+ROUNDED = 2e-7  # and that of meshes, whose corners have single precision, as a share of their bounding boxes
 
 
 class Distances(NamedTuple):
@@ -37,7 +36,20 @@ class Distances(NamedTuple):
 
     distance: Floats  # ``(P,)`` signed, from where the geoms begin to push each other [m]
     jacobian: Floats  # ``(P, n)`` derivatives in the joint coordinates [m/rad, m/m]; zero for geoms that just touch
-    pairs: Pairs  # ``(P, 2)`` geom ids
+    pairs: Ints  # ``(P, 2)`` geom ids
+
+
+class Places:
+    """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
+        counts = (model.ngeom, 3), (model.ngeom, 9), (model.njnt, 3), (model.njnt, 3), (model.nbody, 9)
+        self.geoms, self.turns, self.anchors, self.axes, self.bodies = (np.empty((len(qpos), *k)) for k in counts)
+        for k, data.qpos[:] in enumerate(qpos):
+            mujoco.mj_kinematics(model, data)
+            self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
+            self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
+        self.turns = self.turns.reshape(*self.geoms.shape, 3)
 
 
 class Collisions:
@@ -50,6 +62,7 @@ class Collisions:
         pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
             welded together, parent and child, excludes, and the model's explicit pairs.
         own: ``(P,)`` which pairs are two parts of the arm; links may pass each other closely by design.
+        fields: ``(P,)`` which pairs are a height field and another geom.
         offsets: the distances at which geoms begin to push each other.
     """
 
@@ -62,9 +75,11 @@ class Collisions:
         self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
         model = arm.geometry
+        self.fields = (model.geom_type[self.pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         used = np.flatnonzero(np.bincount(self.pairs.ravel(), minlength=model.ngeom))
         self._used, (self._first, self._second) = used, np.searchsorted(used, self.pairs.T)
-        self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
+        self._center, self._half = np.hsplit(model.geom_aabb[used], 2)
+        self._half = self._half + ROUNDED * np.abs(model.geom_aabb[used]).sum(axis=1, keepdims=True)
         planes = model.geom_type[used] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
@@ -125,9 +140,7 @@ class Collisions:
         slopes = self._slopes(pairs, points[order], distance[order])
         return Distances(apart[order], slopes @ self.arm.unit_rates(q), pairs)
 
-    def separations(
-        self, places: Floats, turns: Floats, cutoff: Floats | float
-    ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
+    def separations(self, places: Floats, turns: Floats, cutoff: Floats | float) -> tuple[Ints, Ints, Floats, Floats]:
         """Distances of the geoms themselves, without their offsets, at I configurations at once, unsorted; unchecked.
 
         Args:
@@ -176,12 +189,18 @@ class Collisions:
         back -= np.vecmat(self._half.take(one, axis=0), cosines)
         near = (np.maximum(beyond, back).max(axis=1) < limits + _SLACK).nonzero()[0]
         at, index, limits, last = at[near], some[index[near]], limits[near], -1
-        distance, segments = np.empty(len(at)), np.empty((len(at), 6))
-        rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        for row, (k, pair, limit, segment) in enumerate(rows):
+        distance, segments, nearer = np.empty(len(at)), np.empty((len(at), 6)), np.empty(6)
+        pairs, fields = self.pairs[index].tolist(), self.fields[index].tolist()
+        rows = zip(at.tolist(), pairs, limits.tolist(), segments, fields, strict=True)
+        for row, (k, pair, limit, segment, field) in enumerate(rows):
             if k != last:
                 self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
+            least = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
+            # MuJoCo takes the least of the first 50 prisms of a height field within the limit: others may be nearer.
+            while field and 0.0 < least < limit:
+                limit, least = least, mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, least, nearer)
+                segment[:] = nearer if least < limit else segment
+            distance[row] = least
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
@@ -194,7 +213,7 @@ class Collisions:
         """`clearance` at rows ``(K, nq)`` of the whole model, its row, and the geoms' ids, empty without pairs."""
         rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
 
-        def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:
+        def look(some: Ints, cutoff: Floats | float) -> None:
             nonlocal best
             distance, at, index = self._nearer(rows[some], cutoff)
             best = min([best, *zip(distance.tolist(), some[at].tolist(), index.tolist(), strict=True)])
@@ -225,14 +244,10 @@ class Collisions:
             limits[pairs] = np.minimum(limits[pairs], 0.8 * distance)
         return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf))[0])
 
-    def _nearer(self, rows: Floats, cutoff: Floats | float) -> tuple[Floats, NDArray[np.int_], NDArray[np.int_]]:
+    def _nearer(self, rows: Floats, cutoff: Floats | float) -> tuple[Floats, Ints, Ints]:
         """Distances ``(C,)`` below a cutoff ``()`` or ``(P,)`` [m], their rows of ``(K, nq)``, and their pairs."""
-        count = self.arm.geometry.ngeom
-        places, turns = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
-        for k, row in enumerate(rows):
-            kinematics_at(self.arm.geometry, row, self._data)
-            places[k], turns[k] = self._data.geom_xpos, self._data.geom_xmat.reshape(-1, 3, 3)
-        at, index, distance, _ = self.separations(places, turns, cutoff)
+        place = Places(self.arm.geometry, self._data, rows)
+        at, index, distance, _ = self.separations(place.geoms, place.turns, cutoff)
         return np.asarray(distance - self._offset[index]), at, index
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
@@ -242,7 +257,7 @@ class Collisions:
         first, second = (geom_name(model, geom) for geom in ids)
         return first, second
 
-    def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
+    def _slopes(self, pairs: Ints, points: Floats, distance: Floats) -> Floats:
         """Derivatives ``(P, nv)``, in MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
         model, data = self.arm.geometry, self._data
         mujoco.mj_comPos(model, data)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, Ints
 
 
 class ContactSlopes(ContactFinder):
@@ -33,13 +32,14 @@ class ContactSlopes(ContactFinder):
             model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << 15)
         # The Jacobian gets one row for each contact, that of its normal, and none for anything else.
         model.geom_condim[:] = 1
+        model.flex_condim[:] = 1
         model.pair_dim[:] = 1
         for flag in ("EQUALITY", "FRICTIONLOSS", "LIMIT"):
             model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self._data = mujoco.MjData(model)
 
-    def along(self, q: Floats) -> tuple[NDArray[np.int_], Floats, Floats]:
+    def along(self, q: Floats) -> tuple[Ints, Floats, Floats]:
         """Near geoms at configurations ``(K, n)``.
 
         Returns:

@@ -23,6 +23,7 @@ _LEFT, _ROUNDING = 0.1, 1e-9
 _SIZED = [
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
 ]
+Offsets = Mapping[tuple[int, int], float]
 _NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 
 
@@ -35,8 +36,10 @@ class ContactOffsets:
     ``given`` are offsets [m] that replace the model's for some pairs of geoms, by the ids of both.
     """
 
-    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
-        self._margins, own = np.array(model.geom_margin), np.array(model.pair_margin)
+    def __init__(self, model: mujoco.MjModel, given: Offsets) -> None:
+        # In contacts with a flex, the other geom's id is -1, which is here the last entry.
+        self._margins = np.append(model.geom_margin, model.flex_margin.max(initial=0.0))
+        own = np.array(model.pair_margin)
         if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
             self._margins[:], own[:] = 0.5 * model.opt.o_margin, model.opt.o_margin
         pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), own.tolist(), strict=True)
@@ -70,11 +73,7 @@ class ContactFinder:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        margin: float = 0.0,
-        offsets: Mapping[tuple[int, int], float] | None = None,
-        leaving: Floats | None = None,
+        self, model: mujoco.MjModel, margin: float = 0.0, offsets: Offsets | None = None, leaving: Floats | None = None
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
@@ -144,6 +143,8 @@ class ContactFinder:
         # `_found` is written out, since its call would add a twentieth.
         for index, position[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
+            if model.nflex:
+                mujoco.mj_flex(model, data)
             mujoco.mj_collision(model, data)
             # For so few numbers, Python finds the least in a fifth of NumPy's time.
             if data.ncon and min(self._distances().tolist()) < self._margin:
@@ -156,11 +157,14 @@ class ContactFinder:
         return int(self._data.ncon)
 
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
-        """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
-        model = self._model
-        near = self.geoms(qpos)[1]
+        """Names of the bodies and flexes closer than the margin at MuJoCo's positions ``(nq,)``."""
+        if not self._found(qpos):
+            return []
+        model, kinds, contact, near = self._model, mujoco.mjtObj, self._data.contact, self._distances() < self._margin
+        sides = zip(contact.geom[near].ravel().tolist(), contact.flex[near].ravel().tolist(), strict=True)
+        owners = [(kinds.mjOBJ_BODY, model.geom_bodyid[k]) if k >= 0 else (kinds.mjOBJ_FLEX, j) for k, j in sides]
         # `model.body(...).name` would take as long as twenty collision passes.
-        names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, k) or "" for k in model.geom_bodyid[near].ravel()]
+        names = [mujoco.mj_id2name(model, kind, k) or "" for kind, k in owners]
         return list(dict.fromkeys(zip(names[::2], names[1::2], strict=True)))
 
 
@@ -199,18 +203,21 @@ def colliding_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
 
 
 def without_clearance(model: mujoco.MjModel) -> str:
-    """A warning about colliding geoms from which no clearance can be kept; empty without any."""
+    """A warning about colliding geoms and flexes from which no clearance can be kept; empty without any."""
     blind = colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF))
-    shown = ", ".join(repr(geom_name(model, int(geom))) for geom in np.flatnonzero(blind))
+    flexes = np.flatnonzero(model.flex_contype | model.flex_conaffinity)
+    names = [geom_name(model, int(geom)) for geom in np.flatnonzero(blind)]
+    names += [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, int(flex)) or "a flex" for flex in flexes]
+    shown = ", ".join(map(repr, names))
     return shown and (
-        f"MuJoCo sees geoms of the type sdf in penetration alone, so that motions keep no clearance of {shown}; other "
-        "types, such as meshes, have one"
+        f"MuJoCo measures no distance from flexes and geoms of the type sdf: motions keep no clearance of {shown}, and "
+        "avoid contact at samples alone; other types, such as meshes, have one"
     )
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """The name of a geom in messages; a geom without a name is called after its body."""
-    return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+    """The name of a geom in messages; a geom without a name is called after its body, a flex has the id -1."""
+    return "a flex" if geom < 0 else model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
 
 def fixed_body(model: mujoco.MjModel, name: str) -> int:

@@ -80,6 +80,10 @@ def rigid_groups(
     result, weld = copy.deepcopy(model), model.body_weldid
     # Mocap bodies stand still, and can be moved as other bodies without joints are.
     result.body_mocapid[:] = -1
+    # Distances are as exact as by default, whatever is exact enough for a simulation.
+    result.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    result.opt.ccd_tolerance = min(result.opt.ccd_tolerance, 1e-6)
+    result.opt.ccd_iterations = max(result.opt.ccd_iterations, 35)
     result.body_weldid[:] = np.where(group == 0, 0, weld)
     result.body_weldid[list(carried)] = carried[0] if len(carried) else 0
     bodies, solid = model.geom_bodyid, colliding_geoms(model)

@@ -6,9 +6,9 @@ h^2 / 2 times the largest acceleration, which is linear on each step of the cubi
 `arm.clearance_bounds` gives a lower bound of the distances of all geoms; intervals in which it does not suffice are
 divided. Samples can step over a thin obstacle, a bound cannot.
 
-The proof assumes that MuJoCo's kinematics and distances are right, and that geoms are convex, as MuJoCo takes meshes to
-be. Near height fields, moving parts count with their whole reach. Nothing is proved about parts that closed loops or
-curves move (`Arm.dependents`).
+The proof assumes that MuJoCo's kinematics are right, that it overlooks nothing near, and that geoms are convex, as
+MuJoCo takes meshes to be. Near height fields, moving parts count with their whole reach. Nothing is proved about parts
+that closed loops or curves move (`Arm.dependents`), or where there are flexes or geoms of the type sdf.
 """
 
 from __future__ import annotations
@@ -107,12 +107,14 @@ class Cubics:
 
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, in steps, at which the velocity of a joint changes its sign."""
-        before, after = self._moved[:-1], self._moved[1:]
-        k, joint = np.divmod(np.flatnonzero(before * after < -1e-30), before.shape[1])  # more than rounding
-        first, last, rate = *self._ends[:, k, joint], before[k, joint]
-        # The one root of rate + first s + (last - first) s^2 / 2 in (0, 1), where the rate changes its sign.
-        root = np.sqrt(first**2 - 2.0 * rate * (last - first))
-        return k - 2.0 * rate / (first - np.sign(rate) * root)
+        before, after, (first, last) = self._moved[:-1], self._moved[1:], self._ends
+        at = k, _ = np.nonzero((before * after < 0.0) | (first * last < 0.0))
+        rate, first, jerk = before[at], first[at], (last - first)[at]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Both roots of rate + first s + jerk s^2 / 2, without cancellation.
+            half = -0.5 * (first + np.copysign(np.sqrt(first**2 - 2.0 * rate * jerk), first))
+            roots = np.array([2.0 * half / jerk, rate / half])
+        return (k + roots)[(roots > 0.0) & (roots < 1.0)]
 
     def fastest(self) -> Floats:
         """Largest rates ``(K - 1, n)`` between samples, times the step; 0 where those at the samples are larger."""
@@ -248,8 +250,8 @@ def proved_clearance(
         doubtful = next(map(tuple, pairs[last].tolist()), doubtful)
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
-    stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
-    proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
+    stretches = step * _joined(unproved)
+    proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1] - t[0])
     # Without any time that is proved, up to rounding, there is no bound.
     bound = bound if proved > 1e-9 else -np.inf
     near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
@@ -287,7 +289,7 @@ class ProofAhead:
         begin, end = self._left[-1]
         (least,), (pair,) = bounds.least(*self._cubics.around([begin], [end])[:3], NEAR)
         if least <= 0.0 and end - begin < 1.0 / 64.0:
-            self.pair = bounds.names(pair)
+            self.pair = bounds.names(pair) if pair[0] >= 0 else ("a loop", "itself")
             return
         self._left.pop()
         if least <= 0.0:
@@ -314,14 +316,12 @@ def _divided(begin: Floats, end: Floats, chosen: NDArray[np.bool_]) -> tuple[Flo
     return np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts])
 
 
-def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The sorted intervals, with adjacent ones joined."""
-    result: list[tuple[float, float]] = []
-    for begin, end in intervals:
-        if result and result[-1][1] == begin:
-            begin = result.pop()[0]
-        result.append((begin, end))
-    return result
+def _joined(intervals: list[tuple[float, float]]) -> Floats:
+    """The intervals ``(U, 2)`` in order, with adjacent ones joined."""
+    edges = np.array(sorted(intervals), dtype=float).reshape(-1, 2)
+    apart = edges[1:, 0] != edges[:-1, 1]
+    first, last = (np.append(*ends)[: len(edges)] for ends in ((True, apart), (apart, True)))
+    return np.column_stack([edges[first, 0], edges[last, 1]])
 
 
 def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:

@@ -47,7 +47,9 @@ class Motion:
 
     def __post_init__(self) -> None:
         check_fields(self, as_times, "t")
-        k = len(self.t)
+        k, steps = len(self.t), np.diff(self.t)
+        if np.ptp(steps) > 1e-3 * steps[0]:
+            raise InputError(f"t must rise by one time step, but rises by {steps.min():g} to {steps.max():g} s")
         check_fields(self, as_floats, "xi_target", shape=("N", 6))
         check_fields(self, as_floats, "q", shape=(k, "n"))
         n, joints = len(self.xi_target), self.q.shape[1]
@@ -200,7 +202,8 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check limits of position, velocity, acceleration and jerk along a motion.
 
-    Positions and velocities are checked at all instants, by the extrema of the cubics between samples, but
+    Positions and velocities are checked at all instants, by the extrema of the cubics between samples (a ball joint's
+    angle 64 times in each step in which it may be too large; `Arm.stops` at samples and at extrema of coordinates), but
     accelerations as the mean over each step. Where a time law switches within a step, the cubic's own acceleration
     exceeds this mean by up to a third.
 
@@ -226,7 +229,13 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | No
             f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"
         )
     cubics = Cubics(timestep, q, qd) if cubics is None else cubics
-    if len(turns := cubics.turns()):
+    turns, balls = cubics.turns(), arm.space.balls
+    if len(balls):
+        # The cubic of a step is in the convex hull of its ends and of two points between them (Bezier).
+        inner = np.array([q[:-1] + timestep / 3.0 * qd[:-1], q[1:] - timestep / 3.0 * qd[1:]])
+        near = (arm.space.angles(inner) > arm.position_limits[balls[:, 0], 1]).any(axis=(0, 2))
+        turns = np.append(turns, np.flatnonzero(near)[:, None] + np.linspace(0.0, 1.0, 65)[1:-1])
+    if len(turns):
         _check_positions(arm, timestep * turns, cubics.at(turns)[0])
     too_fast: list[tuple[float, str]] = []
     words = (("move", "/s"), ("accelerate", "/s^2"), ("jerk", "/s^3"), ("move", "/s"))

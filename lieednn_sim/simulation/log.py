@@ -225,4 +225,4 @@ def _groups_of(arm: Arm, plant: mujoco.MjModel) -> NDArray[np.int_] | None:
         if plant.nbody > arm.model.nbody:
             bodies = [plant.body(arm.model.body(body).name).id for body in bodies]
         groups[bodies[:-1]] = groups[bodies[-1]]
-    return np.asarray(groups[plant.geom_bodyid])
+    return np.append(groups[plant.geom_bodyid], 0)  # the last for flexes, whose geoms have the id -1

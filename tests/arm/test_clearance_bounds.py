@@ -85,6 +85,7 @@ def test_turns_count_to_second_order_by_hand(tmp_path):
 @pytest.mark.parametrize(
     ("geom", "reach"),
     [
+        ('type="sphere" size="0.05 0.1 0.2"', 0.05),
         ('type="capsule" size="0.05 0.1"', 0.15),
         ('type="cylinder" size="0.05 0.1"', 0.1),
         ('type="cylinder" size="0.05 0.1" euler="0 1.5707963 0.2617994"', 0.05),
@@ -103,6 +104,36 @@ def test_geoms_reach_as_far_as_they_do_by_hand(tmp_path, geom, reach):
     bounds = ClearanceBounds(Arm.load(path), [(np.array([0]), np.ones(1))])
     scale, _, _ = at(bounds, np.zeros(1), np.zeros(1), np.zeros((2, 1)), np.ones(1), most=2.0)
     assert scale == pytest.approx(1.0 - reach, abs=1e-6)
+
+
+# A rod through a wall, of which MuJoCo finds no contact; and two ellipsoids that are 36 mm apart, or 92 mm by MuJoCo
+# after two steps of its solver.
+MISTAKEN = """
+<mujoco><option ccd_iterations="2"/><worldbody>
+  <geom type="box" size=".013 .51 .473"/>
+  <body pos="-.005 -.074 -.021" quat="-.331 -.481 -.711 -.392"><joint name="rod" type="slide" range="-1 1"/>
+    <geom type="capsule" size=".18426 .71865"/></body>
+  <geom type="ellipsoid" size=".1 .3 .2" euler="-54 79 -24" pos="5 0 0"/>
+  <body pos="5 0 .6" euler="-71 23 76"><joint name="egg" type="slide" range="-1 1"/>
+    <geom type="ellipsoid" size=".3 .1 .2"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("name", "apart"), [("rod", -0.8), ("egg", 0.0358)])
+def test_a_distance_that_mujoco_finds_too_large_proves_no_more_than_is_so(name, apart):
+    model = mujoco.MjModel.from_xml_string(MISTAKEN)
+    arm = Arm.of(model, mujoco.MjData(model), [name])
+    bounds = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))])
+    assert bounds.least(*np.zeros((3, 1, 1)), 0.2)[0] <= apart
+
+
+def test_a_floor_does_not_end():
+    ball = '<body pos="9000 0 1"><joint type="slide" range="-2 2"/><geom size=".1"/></body>'
+    floor = '<mujoco><worldbody><geom type="plane" size="1 1 1"/>'
+    model = mujoco.MjModel.from_xml_string(f"{floor}{ball}</worldbody></mujoco>")
+    arm = Arm.of(model, mujoco.MjData(model), [model.joint(0).name])
+    bounds, still = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))]), np.zeros((1, 1))
+    assert bounds.least(still, still + 0.5, still, 2.0)[0] == pytest.approx(0.4)
 
 
 HILLS = """
@@ -125,3 +156,14 @@ def test_a_height_field_is_not_convex():
             assert least <= max(reached, 0.0) + 1e-9
             largest = max(largest, float(least))
     assert largest > 0.1
+
+
+def test_the_nearest_of_many_hills_counts_however_far_one_looks():
+    """Within 3 m there are 3,200 prisms, of which MuJoCo looks at 50; the ball is 0.2 m over a plain with one peak."""
+    heights = " ".join("1" if k == 820 else "0" for k in range(1600))
+    hills = HILLS.replace('"9"', '"40"').replace("1 1 .3 .01", "1 1 .1 .01")
+    model = mujoco.MjModel.from_xml_string(hills.format(heights=heights))
+    collisions = Collisions(Arm.of(model, mujoco.MjData(model), [model.joint(0).name]))
+    near, far = (collisions.distances([0.0], cutoff).distance for cutoff in (0.2, 3.0))
+    assert far == pytest.approx(near)
+    assert 0.09 < far < 0.11

@@ -156,6 +156,24 @@ def test_of_geoms_seen_in_contact_alone_nothing_is_proved():
         check_clearance(arm, t, q, qd)
 
 
+CLOTH = """<mujoco><worldbody>
+  <flexcomp name="cloth" type="grid" count="6 6 1" spacing=".2 .2 .1" pos="0 0 .5" euler="0 90 0" rigid="true" dim="2"
+    radius=".01"><contact selfcollide="none"/></flexcomp>
+  <body name="hand" pos="-1 0 .5"><joint name="x" type="slide" range="-3 3" axis="1 0 0"/><geom size=".1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_of_flexes_nothing_is_proved_and_samples_are_tested():
+    model = mujoco.MjModel.from_xml_string(CLOTH)
+    with pytest.warns(UserWarning, match="no clearance of 'cloth', and avoid contact at samples"):
+        arm = ls.Arm.of(model, mujoco.MjData(model), ["x"])
+    t, q = 0.002 * np.arange(501), np.linspace(0.0, 2.0, 501)[:, None]
+    assert arm.near_contacts([1.0]) == [("hand", "cloth")]
+    assert "keep no clearance of 'cloth'" in str(proved_clearance(arm, t, q, np.full_like(q, 2.0)))
+    with pytest.raises(PlanError, match="'hand' would come within 2 mm of 'cloth'"):
+        check_clearance(arm, t, q, np.full_like(q, 2.0))
+
+
 def test_where_nothing_is_proved_there_is_no_bound():
     arm, t, q, qd, _ = swing(0)
     result = proved_clearance(arm, t, q, qd, np.full_like(q, 3.0))
@@ -163,8 +181,8 @@ def test_where_nothing_is_proved_there_is_no_bound():
 
 
 def test_what_is_near_is_told_beside_parts_of_the_arm_that_are_nearer_to_each_other():
-    arm = ls.Arm.load("telescopic_rrp", scene="poles", seed=1)
-    planned = ls.plan(arm, ls.draw_target(arm, seed=1), seed=1)
+    arm = ls.Arm.load("telescopic_rrp", scene="poles", seed=6)
+    planned = ls.plan(arm, ls.draw_target(arm, seed=6), seed=6)
     own, others = planned.clearance, planned.clearance.others
     collisions, measured = Collisions(arm), []
     for q in planned.motion.q[::10]:

@@ -153,6 +153,12 @@ def test_bad_input(arm, network):
         make_motion(arm, small, home, 1.0, 0.002)
 
 
+def test_a_motion_has_one_time_step(motion):
+    t = np.append(motion.t[:-1], motion.t[-1] + 0.1)
+    with pytest.raises(InputError, match=r"t must rise by one time step, but rises by 0\.002 to 0\.102 s"):
+        dataclasses.replace(motion, t=t)
+
+
 def test_a_network_that_does_not_arrive_is_refused(arm, network, monkeypatch):
     n = arm.n_links
     rotation = np.broadcast_to(np.eye(3), (n, n, 3, 3))
@@ -234,8 +240,8 @@ def test_position_limits_hold_to_a_micron(arm, motion):
 
 
 def test_limits_hold_between_samples(arm, motion):
-    """With rates v and -v at its ends and no way between, a cubic goes h v / 4 beyond them; over a way d from rest to
-    rest its rate is 1.5 d / h."""
+    """Over no way, a cubic goes h v / 4 beyond its ends with rates v and -v there, and h v / sqrt(108) with v twice;
+    over a way d from rest to rest its rate is 1.5 d / h."""
     still = dataclasses.replace(motion, q=np.tile(motion.q[700], (len(motion.t), 1)), qd=0.0 * motion.qd)
     q, qd, fastest = still.q.copy(), still.qd.copy(), arm.velocity_limits[4]
     q[:, 4], qd[700:702, 4] = arm.position_limits[4, 1], (0.3, -0.3)
@@ -244,12 +250,31 @@ def test_limits_hold_between_samples(arm, motion):
         q[700:702, 4] = arm.position_limits[4, 1] - 0.25 * 0.3 * motion.timestep + beyond
         with expected:
             check_limits(arm, motion.t, q, qd)
+    for beyond, expected in ((0.9e-6, nullcontext()), (1.1e-6, pytest.raises(PlanError, match="joint 'yaw' would be"))):
+        q[:, 4], qd[:, 4] = arm.position_limits[4, 1] - 0.3 * motion.timestep / np.sqrt(108.0) + beyond, 0.3
+        with expected:
+            check_limits(arm, motion.t, q, qd)
     q, qd = still.q.copy(), np.zeros_like(qd)
     for share, expected in ((0.999, nullcontext()), (1.001, pytest.raises(TooFastError, match="would move at"))):
         q[701:, 4] = q[0, 4] - share * fastest * motion.timestep / 1.5
         with expected as error:
             check_limits(arm, motion.t, q, qd)
     assert error.value.duration == pytest.approx(4.004)
+
+
+def test_the_angle_of_a_ball_joint_holds_between_samples():
+    """It rises and falls within a step, while no coordinate of the joint turns: two of them go on, across the angle."""
+    ball = '<mujoco><worldbody><body><joint name="b" type="ball" range="0 57.29577951308232"/><geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(ball + "</worldbody></mujoco>")
+    arm = Arm.of(model, mujoco.MjData(model), ["b"], limits={f"b_{k}": {"acceleration": 1e4} for k in "xyz"})
+    out, across = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]) / np.sqrt(2.0)
+    t, way = 0.002 * np.arange(3), np.array([-1.0, 0.0, 1.0])[:, None]
+    refused = pytest.raises(PlanError, match="joint 'b' would be at 1 ")
+    for beyond, expected in ((-1e-6, nullcontext()), (3e-6, refused)):
+        q = (1.0 - 0.25 * 0.3 * 0.002 + beyond) * out + 0.002 * (way + 0.5) * across
+        q[2] -= 0.002 * out
+        with expected:
+            check_limits(arm, t, q, across + np.array([0.3, -0.3, -0.3])[:, None] * out)
 
 
 def test_a_posture_that_jumps_between_two_samples_is_refused(arm, motion):

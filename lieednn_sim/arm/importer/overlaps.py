@@ -121,7 +121,7 @@ class _Overlaps:
         for distance, result in zip(distances, pairs, strict=True):
             geoms = _pair(*result)
             first, second = self.bodies(geoms)
-            if root[first] and root[first] == root[second]:
+            if min(result) >= 0 and root[first] and root[first] == root[second]:  # not a flex, whose id is -1
                 near[geoms] = min(float(distance), near.get(geoms, np.inf))
         return near
 
