@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.grasp import Grasp
 from lieednn_sim.values import Floats
 
 # Kinds of transmission by which an actuator drives a joint.
@@ -84,9 +83,13 @@ def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
 
-    A motor's control range limits its force as well as its force range does.
+    A motor's control range limits its force as well as its force range does, and so does the ``actuatorfrcrange`` of
+    the tendon at which an actuator pulls.
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
+    for a in np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)).tolist():
+        if model.tendon_actfrclimited[tendon := model.actuator_trnid[a, 0]]:
+            ranges[a] = np.clip(ranges[a], *model.tendon_actfrcrange[tendon])
     motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
     # An integrator's control is the rate of what acts.
     motors &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -129,7 +132,6 @@ def required_forces(
     qacc: Floats | float = 0.0,
     *,
     limited: bool = False,
-    grasp: Grasp | None = None,
 ) -> Floats:
     """Generalised forces ``(S, nv)`` that actuators need for a motion, after gravity compensation and springs.
 
@@ -139,7 +141,6 @@ def required_forces(
         qpos: MuJoCo's positions ``(S, nq)``.
         qvel, qacc: its velocities and accelerations ``(S, nv)``; by default at rest.
         limited: whether the forces are those that ``actuatorfrcrange`` limits, which include compensation by actuators.
-        grasp: a free body that is carried; its carrier exerts the forces that it needs.
     """
     data, compensated = scratch_data(model), bool(model.jnt_actgravcomp.any())
     if compensated:
@@ -148,7 +149,7 @@ def required_forces(
             by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
     forces = np.zeros((len(qpos), model.nv))
     qvel, qacc = forces + qvel, forces + qacc
-    inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
+    inertial = np.zeros(model.nv)
     bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
     for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):
         # The parts of mj_inverse before the constraints, for which it would look for contacts.
@@ -162,11 +163,6 @@ def required_forces(
         force += inertial
         if compensated:
             force -= by_actuator * compensation
-        if grasp is not None:
-            body, free = grasp.bodies[0], grasp.qvel
-            mujoco.mj_jac(model, data, linear, angular, data.xpos[body], grasp.carrier)
-            torque = data.xmat[body].reshape(3, 3) @ force[free + 3 : free + 6]
-            force += force[free : free + 3] @ linear + torque @ angular
     return forces
 
 

@@ -17,6 +17,7 @@ from lieednn_sim.arm.forces import (
     servo_gains,
     tangent_basis,
 )
+from lieednn_sim.arm.limits import largest_inertia
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
@@ -162,12 +163,7 @@ def _pace(rollout: Rollout) -> tuple[Floats, Floats]:
     The rates are the slower roots of M r^2 + (kv + D) r + kp = 0.
     """
     model, basis = rollout.arm.model, tangent_basis(rollout.arm.space)
-    data = mujoco.MjData(model)
-    data.qpos[:] = rollout.qpos[-1]
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    mass = np.diag(basis.T @ inertia @ basis)
+    mass = largest_inertia(model, rollout.qpos[-1:], basis)
     kp, kv = servo_gains(model, basis)
     damping = (kv + model.dof_damping @ basis**2) / (2.0 * mass)
     roots = -damping + np.sqrt((damping**2 - kp / mass).astype(complex))

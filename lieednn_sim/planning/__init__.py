@@ -1,7 +1,6 @@
 """Planning: from a joint target to a motion that is checked for limits, contact and clearance.
 
-`plan` runs any planner by its name: certified networks, and the planners with which they are compared. Each planner has
-a class of options here.
+`plan` runs any planner by its name: certified networks, and those with which they are compared, with their options.
 """
 
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions as OptimisationOptions

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import actuator_moments
+from lieednn_sim.arm.limits import largest_inertia
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
@@ -189,12 +190,8 @@ class _Planned:
 
 def _heavier(model: mujoco.MjModel, data: mujoco.MjData, dofs: NDArray[np.int_]) -> mujoco.MjModel:
     """A copy of a model in which some dofs have extra inertia, relative to that in a state, and no actuators."""
-    heavy, state = copy.deepcopy(model), mujoco.MjData(model)
-    mujoco.mj_copyData(state, model, data)
-    mujoco.mj_fwdPosition(model, state)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, state, inertia)
-    heavy.dof_armature[dofs] += _HELD * np.diag(inertia)[dofs]
+    heavy = copy.deepcopy(model)
+    heavy.dof_armature[dofs] += _HELD * largest_inertia(model, data.qpos[None], np.eye(model.nv)[:, dofs])
     driving = actuator_moments(model)[:, dofs].any(axis=1)
     heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
     return heavy

@@ -81,8 +81,7 @@ def control_loop(
 
     The policy is reset at the measured joints. If its reference for a joint breaks a limit of velocity or acceleration,
     the joint is sent one that lags behind within the limits. After a period that ends late, the next one begins at
-    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
-    in it.
+    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop.
 
     At the end the reference brakes to rest, straight ahead, within the acceleration limits. This happens after the
     duration, if more faults occur than the options tolerate, if the policy, `stop` or `on_late` raises, and at Ctrl-C
