@@ -156,8 +156,7 @@ class Arm(ModelArm):
             model: a compiled model, which is not changed.
             data: its state. Planning uses positions, mocap bodies and active equalities; a simulation starts from the
                 whole state, with its controls and activations.
-            joints: names of the joints, on one chain, in any order. Coordinates are in the chain's order
-                (`joint_names`).
+            joints: names of the joints, on one chain, in any order; `joint_names` are in the chain's order.
             links: instead of the joints, names of the bodies or sites at the link frames, from the base outwards; the
                 joints between two of them move one link.
             tip: body or site of the end effector, by default the last body that the joints move.

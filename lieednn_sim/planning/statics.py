@@ -41,7 +41,7 @@ def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
     ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
     rates = arm.qvel(q, slope)
     still, damping, rest = _parts(arm, q, slope, rates, (ahead - behind) / (2.0 * step))
-    forces = np.stack([_needed(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
+    forces = np.stack([needed_forces(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
     return np.concatenate([forces / bound for bound in _bounds(arm)], axis=2)
 
 
@@ -50,7 +50,7 @@ def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
 
     It is checked at configurations q ``(K, n)``; ``where`` says what each is, for the message.
     """
-    use = _use(forces := _needed(arm, q, np.zeros_like(q)))
+    use = _use(forces := needed_forces(arm, q, np.zeros_like(q)))
     k, j = map(int, np.unravel_index(use.argmax(), use.shape))
     if use[k, j] > 1.0:
         raise TooWeakError(_overload(arm, j, f"cannot be held at {where[k]}", *forces[:, k, j]))
@@ -129,7 +129,7 @@ def _simple(arm: Arm) -> bool:
 
 
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest forces ``(m,)``, as in `_needed`."""
+    """Least and largest forces ``(m,)``, as in `needed_forces`."""
     most = arm.force_limits if arm.dependents is None else np.full(arm.n_joints, np.inf)
     low, high = np.stack([-most, most])
     if not _simple(arm):
@@ -140,13 +140,13 @@ def _bounds(arm: Arm) -> tuple[Floats, Floats]:
 
 
 def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
-    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `_needed`."""
+    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `needed_forces`."""
     # Only the forces of dampers change their sign if the rates are reversed.
-    still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
+    still, along, back = (needed_forces(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
     return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])
 
 
-def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
+def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
     """Forces needed at configurations q ``(S, n)``, with dry friction against rates qd, and their bounds ``(2, S, m)``.
 
     They are generalised forces along the coordinates. Where limits of these do not say all, such as in closed loops or
@@ -161,7 +161,7 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
 
 
 def _with_bounds(arm: Arm, needed: Floats, basis: Floats) -> Floats:
-    """Forces along the coordinates ``(S, n)``, and those that follow from them, with bounds as `_needed` gives them."""
+    """Forces along the coordinates ``(S, n)``, and those that follow from them, with bounds, as in `needed_forces`."""
     (low, high), model = _bounds(arm), arm.model
     if not _simple(arm):
         # The actuator forces of least norm that have this effect.
@@ -173,16 +173,16 @@ def _with_bounds(arm: Arm, needed: Floats, basis: Floats) -> Floats:
 
 
 def _along(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = _needed
+    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = needed_forces
 ) -> Floats:
-    """`_needed` for some samples of a motion, each with the acceleration to the next sample."""
+    """`needed_forces` for some samples of a motion, each with the acceleration to the next sample."""
     qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
     # At the first step from rest, dry friction acts against the motion, too.
     return of(arm, q[rows], qd[rows] + qd[rows + 1], qvel, (after - qvel) / (t[1] - t[0]))
 
 
 def _use(forces: Floats) -> Floats:
-    """Forces of `_needed` in units of their bounds ``(S, m)``."""
+    """Forces of `needed_forces` in units of their bounds ``(S, m)``."""
     return np.asarray(np.abs(forces[0]) / forces[1])
 
 

@@ -93,8 +93,7 @@ class ChunkPolicy(ReplanningPolicy):
     Attributes:
         source: a function to be set, None at first. It is called in each period with `now` and the measured joints
             ``(n,)``, or the reference if nothing is measured, and returns None, or the arguments of `accept`.
-        verdict: that of the last chunk; while it is followed, ``unproved`` may be added, or a finding that refuses a
-            later part.
+        verdict: that of the last chunk; later ``unproved`` may be added, or a finding that refuses what is left.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """

@@ -90,8 +90,7 @@ def control_loop(
 
     Args:
         read: called once a period; returns measured joints ``(n,)``, or None if there are none, but not at first.
-        write: called with the reference q and qd ``(n,)`` for the end of the period; if it raises, it is called with
-            the same ones in the next period.
+        write: called with the reference q and qd ``(n,)`` for the end of the period, and again if it raises.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; if
             this raises, or its result is malformed or out of reach, the last target stays.
         duration: [s], rounded up to a whole number of periods.

@@ -25,6 +25,7 @@ from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.statics import needed_forces
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.simulation import make_plant
@@ -47,10 +48,10 @@ def tracking_bound(
     masses and inertias that move, both unknown to controller and gravity compensation (`Disturbances`).
     `planning.tube.find_tube` takes it as ``tracking``.
 
-    It assumes torques that stay within their limits, exact measurements, no friction that the controller does not know,
-    and no pushes. The controller ``feedback-linearisation`` has another feedback: that of the servos, or another error
-    of each step. Inertias and forces are evaluated at 100 instants of the motion, with joints and rates off it by the
-    bound, with random signs, for three scales and three payloads: the bound is not proved for what lies between these.
+    It assumes exact measurements, no pushes, no friction that the controller does not know, and no other joints that
+    move. It is not for ``feedback-linearisation``, which has the feedback of servos, or further errors in each step.
+    Inertias and forces are evaluated at 100 instants and peaks of acceleration, with joints and rates off by the bound,
+    with random signs, for three scales and three payloads: the bound is not proved for what lies between these.
 
     Args:
         arm: the arm, as the controller believes it to be.
@@ -61,7 +62,7 @@ def tracking_bound(
 
     Raises:
         InputError: a value is malformed, the arm has ball joints or closed loops, or steps exceed 0.5 / frequency.
-        NotCertifiedError: masses may be off by so much that there is no proof that the feedback holds the joints.
+        NotCertifiedError: it is not proved that the feedback holds the joints, or does so within force limits.
     """
     low, high = as_floats("mass_scale", mass_scale, (2,)).tolist()
     if not 0.0 < low <= high:
@@ -80,18 +81,19 @@ def tracking_bound(
         plant = make_plant(bare, Disturbances(mass_scale=scale, payload=load))
         mismatch, largest = _Mismatch(bare, plant, followed), np.zeros(arm.n_joints)
         for _ in range(20):
-            share, forced = mismatch(largest / rate**2, of_rate * largest)
+            share, forced, use = mismatch(largest / rate**2, of_rate * largest, of_feedback * largest)
             gain = np.abs(np.linalg.eigvals(of_feedback * share)).max()
             if gain >= 1.0:
-                raise NotCertifiedError(
-                    f"masses may be off by so much that the feedback is not proved to hold the joints: the gain of "
-                    f"their mismatch is {gain:.3g}, it must be below 1; allow for a smaller payload or mass_scale"
-                )
+                why = f"the gain of their mismatch is {gain:.3g}, not below 1; allow a smaller payload or mass_scale"
+                raise NotCertifiedError(f"masses may be too far off for a proof that feedback holds the joints: {why}")
             before, largest = largest, 1.02 * np.linalg.solve(np.eye(len(share)) - of_feedback * share, forced)
             if (largest <= 1.02 * before).all():
                 break
         else:
             raise NotCertifiedError("the tracking errors are not bounded: larger ones let the mismatch grow as much")
+        if use.max() > 1.0:
+            asked = f"joint {arm.joint_names[use.argmax()]!r} for {use.max():.3g} times its force limit"
+            raise NotCertifiedError(f"the feedback may ask {asked}; plan a slower motion, or allow for smaller changes")
         error = np.maximum(error, np.maximum(before, largest) / rate**2)
     return error
 
@@ -114,16 +116,19 @@ class _Mismatch:
     def __init__(self, arm: Arm, plant: mujoco.MjModel, motion: Motion) -> None:
         self._arm, self._models = arm, [(model, mujoco.MjData(model)) for model in (plant, arm.model)]
         self._basis = tangent_basis(arm.space)
-        chosen = np.unique(np.linspace(0, len(motion.t) - 1, 100).round().astype(int))
         acceleration = np.gradient(motion.qd, motion.timestep, axis=0)
+        peaks = np.append(acceleration.argmax(axis=0), acceleration.argmin(axis=0))
+        chosen = np.union1d(np.linspace(0, len(motion.t) - 1, 100).round().astype(int), peaks)
         self._q, self._qd, self._qdd = motion.q[chosen], motion.qd[chosen], acceleration[chosen]
 
-    def __call__(self, off: Floats, rates_off: Floats) -> tuple[Floats, Floats]:
-        """Largest |A| ``(n, n)`` and |A a + M^-1 dh| ``(n,)`` for errors ``(n,)`` of positions and of rates."""
+    def __call__(self, off: Floats, rates_off: Floats, feedback: Floats) -> tuple[Floats, Floats, Floats]:
+        """Largest |A| ``(n, n)``, |A a + M^-1 dh| and use of force limits for errors and |w|, each ``(n,)``."""
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (2, *self._q.shape))
         q, qd = self._q + signs[0] * off, self._qd + signs[1] * rates_off
-        share, forced = [], []
-        for qpos, qvel, wanted in zip(self._arm.qpos(q), self._arm.qvel(q, qd), self._qdd, strict=True):
+        share, forced, use = [], [], []
+        rows = self._arm.qpos(q), self._arm.qvel(q, qd), self._qdd
+        needed, limits = needed_forces(self._arm, q, qd, rows[1], self._arm.qvel(q, self._qdd))[..., : len(off)]
+        for qpos, qvel, wanted, force, limit in zip(*rows, np.abs(needed), limits, strict=True):
             parts, full = list[Floats](), np.zeros((len(qvel), len(qvel)))
             for model, data in self._models:
                 data.qpos[:], data.qvel[:] = qpos, qvel
@@ -134,4 +139,5 @@ class _Mismatch:
             inertia, bias, known, expected = parts
             share.append(np.linalg.solve(inertia, inertia - known))
             forced.append(share[-1] @ wanted + np.linalg.solve(inertia, bias - expected))
-        return np.abs(share).max(axis=0), np.abs(forced).max(axis=0)
+            use.append((force + np.abs(known) @ feedback) / limit)
+        return np.abs(share).max(axis=0), np.abs(forced).max(axis=0), np.max(use, axis=0)

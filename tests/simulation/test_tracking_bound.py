@@ -51,6 +51,17 @@ def test_steps_of_time_are_part_of_the_bound():
         tracking_bound(coarse, motion, mass_scale=(0.6, 1.0))
 
 
+def test_forces_of_the_feedback_are_within_their_limits():
+    """Of 6 N, the motion needs 5.77 N. With c D = 1.284 * 0.0244 / 0.97 * 2.89 of feedback, it is 0.18 N more."""
+    weak = Arm.from_spec(mujoco.MjSpec.from_string(_SLIDE.format(axis="1 0 0").replace("500", "6")))
+    motion = plan(weak, [0.5], start=[0.0], planner="minimum-jerk", duration=1.0)
+    tracking_bound(weak, motion, payload=0.05)
+    with pytest.raises(NotCertifiedError, match=r"may ask joint 'x' for 1\.\d+ times its force limit; plan a slower"):
+        tracking_bound(weak, motion, payload=0.1)
+    run = simulate(weak, motion, controller="computed-torque", disturbances=Disturbances(payload=0.1))
+    assert np.abs(run.force).max() == 6.0
+
+
 @pytest.mark.parametrize(("scales", "load"), [((0.85, 1.15), 0.0), ((1.0, 1.0), 0.4)])
 def test_runs_stay_within(arm, scales, load):
     motion = plan(arm, draw_target(arm, 3), planner="minimum-jerk", duration=1.5)
@@ -67,7 +78,8 @@ def test_runs_stay_within(arm, scales, load):
 def test_what_is_refused(arm, rising):
     motion = plan(rising, [0.5], start=[0.0], planner="minimum-jerk", duration=1.0).motion
     # A payload p is proved for A = p / (m + p) < 1 / 1.284, which is p < 7.04 kg here.
-    tracking_bound(rising, motion, payload=6.9)
+    with pytest.raises(NotCertifiedError, match="the feedback may ask joint 'x' for"):
+        tracking_bound(rising, motion, payload=6.9)
     with pytest.raises(NotCertifiedError, match="smaller payload"):
         tracking_bound(rising, motion, payload=7.6)
     with pytest.raises(InputError, match="the smaller first"):

@@ -67,8 +67,7 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of your own; by default all whose packages
-            are installed.
+        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of your own; by default all installed ones.
         arms: a name of `ARMS`, or several, or files, as for `Arm.load`; by default telescopic_compound, telescopic_pr
             and telescopic_rrp.
         scenes: a name of `SCENES`, or several, or files of obstacles; by default free,window.

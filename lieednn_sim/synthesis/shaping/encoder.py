@@ -74,8 +74,7 @@ class CurveEncoder:
                 to ``(N, 6)``.
 
         Raises:
-            InputError: a shape does not fit, or the curve's code exceeds `LARGEST_CODE`, beyond which bumps are not
-                linear in the code.
+            InputError: a shape does not fit, or the code exceeds `LARGEST_CODE`, beyond which bumps are not linear.
         """
         return self.with_code(self.code(curve, units), np.asarray(curve)[-1])
 
