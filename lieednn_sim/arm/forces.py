@@ -83,19 +83,31 @@ def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
 
-    A motor's control range limits its force as well as its force range does, and so does the ``actuatorfrcrange`` of
-    the tendon at which an actuator pulls.
+    The control range of a motor or velocity servo limits its force at rest as well as its force range does, and so does
+    the ``actuatorfrcrange`` of the tendon at which an actuator pulls.
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
     for a in np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)).tolist():
         if model.tendon_actfrclimited[tendon := model.actuator_trnid[a, 0]]:
             ranges[a] = np.clip(ranges[a], *model.tendon_actfrcrange[tendon])
-    motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
-    # An integrator's control is the rate of what acts.
-    motors &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-    by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
-    ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
+    motors, biases = _motors(model)
+    by_control = np.sort(model.actuator_gainprm[:, :1] * control_ranges(model)) + biases[:, :1]
+    ranges[motors] = np.clip(by_control[motors], ranges[motors, :1], ranges[motors, 1:])
     return ranges
+
+
+def lost_forces(model: mujoco.MjModel) -> Floats:
+    """How much less force ``(nu,)`` limited controls of motors and velocity servos can exert, per unit velocity."""
+    motors, biases = _motors(model)
+    return np.where(motors & np.isfinite(control_ranges(model)).any(axis=1), -biases[:, 2], 0.0)
+
+
+def _motors(model: mujoco.MjModel) -> tuple[NDArray[np.bool_], Floats]:
+    """Which actuators ``(nu,)`` exert g ctrl + b0 + b2 v, whatever their lengths are, and b0, b1 and b2 of all."""
+    biases = np.where(model.actuator_biastype[:, None] == int(mujoco.mjtBias.mjBIAS_NONE), 0, model.actuator_biasprm)
+    # An integrator's control is the rate of what acts.
+    static = model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    return affine_actuators(model) & static & (biases[:, 1] == 0.0), biases[:, :3]
 
 
 def control_ranges(model: mujoco.MjModel) -> Floats:

@@ -80,7 +80,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
-        force_fraction=exerted_use(arm, rollout.qpos, rollout.force),
+        force_fraction=exerted_use(arm, rollout.qpos, rollout.qd, rollout.force),
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         load=load_metrics(rollout, clearance=clearance),

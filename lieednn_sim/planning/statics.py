@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, required_forces, tangent_basis
+from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, lost_forces, required_forces
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, weakly_cached
 
@@ -27,9 +27,10 @@ def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
 
 
-def exerted_use(arm: Arm, qpos: Floats, force: Floats) -> float:
-    """Largest use of limits, as `force_use` measures it, by forces ``(K, n)`` along the coordinates at ``(K, nq)``."""
-    return float(_use(_with_bounds(arm, force, arm.moving(qpos))).max())
+def exerted_use(arm: Arm, qpos: Floats, qd: Floats, force: Floats) -> float:
+    """Largest use of limits, as in `force_use`, by forces ``(K, n)`` along the coordinates, with rates qd."""
+    basis = arm.moving(qpos)
+    return float(_use(_with_bounds(arm, force, basis, np.matvec(basis, qd))).max())
 
 
 def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
@@ -122,9 +123,10 @@ def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | 
 @weakly_cached
 def _simple(arm: Arm) -> bool:
     """Whether `Arm.force_limits` say all: no actuator, or pair of them, has a limit that these do not show."""
-    moves = np.abs(actuator_moments(arm.model) @ tangent_basis(arm.space)) > 1e-9
+    moves = np.abs(actuator_moments(arm.model) @ arm.unit_rates()) > 1e-9
     low, high = actuator_ranges(arm.model)[moves.any(axis=1)].T
     alone = max(moves.sum(axis=0).max(), moves.sum(axis=1).max(initial=0)) <= 1
+    alone &= not lost_forces(arm.model)[moves.any(axis=1)].any()
     return bool(arm.dependents is None and alone and (low < 0.0).all() and (high > 0.0).all())
 
 
@@ -157,10 +159,10 @@ def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, q
     needed = np.vecmat(required_forces(arm.model, arm.qpos(q), qvel, qacc, limited=True), basis)
     friction = dry_friction(arm.model, basis)
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
-    return _with_bounds(arm, needed, basis)
+    return _with_bounds(arm, needed, basis, qvel)
 
 
-def _with_bounds(arm: Arm, needed: Floats, basis: Floats) -> Floats:
+def _with_bounds(arm: Arm, needed: Floats, basis: Floats, qvel: Floats | float) -> Floats:
     """Forces along the coordinates ``(S, n)``, and those that follow from them, with bounds, as in `needed_forces`."""
     (low, high), model = _bounds(arm), arm.model
     if not _simple(arm):
@@ -168,7 +170,8 @@ def _with_bounds(arm: Arm, needed: Floats, basis: Floats) -> Floats:
         moments = actuator_moments(model)
         exerted = np.matvec(np.linalg.pinv(np.swapaxes(moments @ basis, -1, -2)), needed)
         sums = exerted @ moments[:, model.jnt_dofadr[model.jnt_actfrclimited != 0]]
-        needed = np.concatenate([needed, exerted, sums], axis=1)
+        controlled = exerted + lost_forces(model) * np.matvec(moments, qvel + np.zeros(model.nv))
+        needed = np.concatenate([needed, controlled, sums], axis=1)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
 
 

@@ -113,8 +113,7 @@ def similarities() -> MatrixLieGroup:
 def general_linear(n: int) -> MatrixLieGroup:
     """Invertible real n x n matrices, coordinates in row-major order; the kernel is the multiples of the identity.
 
-    Elements with det < 0 are included: they act on the algebra like the others, but are not exponentials. n is from 1
-    to 8.
+    Elements with det < 0 are included: they act on the algebra like others, but are not exponentials. n is 1 to 8.
     """
     if (size := as_count("n", n)) > _LARGEST_GENERAL_LINEAR:
         raise InputError(f"n must be at most {_LARGEST_GENERAL_LINEAR} for GL(n), got {n}")

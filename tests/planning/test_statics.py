@@ -164,6 +164,36 @@ def test_actuators_that_only_push_and_tendons_have_limits(drive, what):
         ls.plan(arm, [0.5], planner="minimum-jerk", payload=2.0)
 
 
+DAMPED = 'gainprm="100" biastype="affine" biasprm="0 0 -{0}" ctrlrange="-1 1"'
+
+
+@pytest.mark.parametrize("loss", [0.0, 20.0])
+def test_a_motor_that_is_weaker_at_speed_moves_as_one_with_a_damper(loss):
+    """100 N at full control, less 20 N s/m: a limit by the control range alone."""
+    pytest.importorskip("toppra")
+
+    def driven(drive, damping):
+        model = mujoco.MjModel.from_xml_string(f"""<mujoco><option integrator="implicitfast"/><worldbody><body>
+            <joint name="lift" type="slide" axis="0 0 1" range="-1 1" damping="{damping}"/><geom size=".1" mass="2"/>
+            </body></worldbody><actuator><general joint="lift" {drive}/></actuator></mujoco>""")
+        return ls.Arm.of(model, mujoco.MjData(model), ["lift"], limits={"lift": {"acceleration": 99.0}})
+
+    arm = driven(DAMPED.format(loss), 0.0)
+    plans = [
+        ls.plan(each, [0.5], planner="minimum-jerk", fastest=True)
+        for each in (arm, driven('gainprm="100" ctrlrange="-1 1"', loss))
+    ]
+    times = [planned.motion.t[-1] for planned in plans]
+    assert times[0] == pytest.approx(times[1], abs=0.004)
+    assert times[0] > 0.2 + 0.002 * loss
+    run = ls.evaluate(ls.simulate(arm, plans[0]))
+    assert run.tracking_max_mm < 3.0
+    assert 0.9 < run.planned_force_fraction <= 1.0 + 1e-6
+    assert run.force_fraction == pytest.approx(run.planned_force_fraction, abs=0.05)
+    with pytest.raises(InputError, match=r"cannot be held at the start with a payload of 9 kg: its load is 107\.9 N"):
+        ls.plan(arm, [0.5], planner="minimum-jerk", payload=9.0)
+
+
 def test_actuators_of_closed_loops_are_compared_in_a_run_too():
     """The luff of the crane has no actuator: its cylinder has."""
     arm = ls.Arm.load("telescopic_crane")
