@@ -123,11 +123,12 @@ def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | 
 @weakly_cached
 def _simple(arm: Arm) -> bool:
     """Whether `Arm.force_limits` say all: no actuator, or pair of them, has a limit that these do not show."""
+    if arm.dependents is not None:
+        return False
     moves = np.abs(actuator_moments(arm.model) @ arm.unit_rates()) > 1e-9
-    low, high = actuator_ranges(arm.model)[moves.any(axis=1)].T
+    (low, high), lost = (of(arm.model)[moves.any(axis=1)].T for of in (actuator_ranges, lost_forces))
     alone = max(moves.sum(axis=0).max(), moves.sum(axis=1).max(initial=0)) <= 1
-    alone &= not lost_forces(arm.model)[moves.any(axis=1)].any()
-    return bool(arm.dependents is None and alone and (low < 0.0).all() and (high > 0.0).all())
+    return bool(alone and not lost.any() and (low < 0.0).all() and (high > 0.0).all())
 
 
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:

@@ -140,8 +140,7 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
     """The affine group of a real matrix group G <= GL(m, R): maps p -> A p + b with A in G, as (m+1, m+1) matrices.
 
     The basis of G comes first, then the translations: SE(3) = affine(SO(3)) has twists (omega, v). Its adjoint matrix
-    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A itself. `InputError` for a complex G, or more than
-    128 dimensions.
+    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A. `InputError` for complex G, or above 128 dimensions.
     """
     if np.iscomplexobj(linear.basis):
         raise InputError(f"affine needs a real matrix group, got {linear.name}")
