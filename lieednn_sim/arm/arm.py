@@ -156,8 +156,7 @@ class Arm(ModelArm):
             model: a compiled model, which is not changed.
             data: its state. Planning uses positions, mocap bodies and active equalities; a simulation starts from the
                 whole state, with its controls and activations.
-            joints: names of the joints, on one chain, in any order. Coordinates are in the chain's order
-                (`joint_names`).
+            joints: names of the joints, on one chain, in any order; `joint_names` are in the chain's order.
             links: instead of the joints, names of the bodies or sites at the link frames, from the base outwards; the
                 joints between two of them move one link.
             tip: body or site of the end effector, by default the last body that the joints move.
@@ -269,29 +268,30 @@ class Arm(ModelArm):
         """This arm with a further mass [kg] at its end effector's frame, which plans and controllers account for.
 
         The mass is a ball of steel that touches nothing and whose weight MuJoCo does not compensate. Limits of
-        velocity, acceleration and jerk stay those of the arm alone; forces are checked along each motion
-        (`planning.statics.check_forces`).
+        velocity, acceleration and jerk stay those of the arm alone; each motion's forces are checked (`check_forces`).
 
         Raises:
             InputError: the mass is negative; or, in a view of a compiled model, MuJoCo compensates the weight of the
                 end effector's body, at its centre of mass.
         """
         mass = as_nonnegative("payload", payload)
-        whole = self.payload + mass
-        if mass == 0.0:
+        if (whole := self.payload + mass) == self.payload:
             return self
         if self.spec is None:
             model = copy.deepcopy(self.model)
             load_body(model, self, mass)
             return replace(self, model=model, payload=whole)
         spec = self.copied_spec()
-        add_payload(spec, self, mass, f"payload up to {whole:g} kg")
+        add_payload(spec, self, mass, name := f"payload up to {whole} kg")
         for k, servo in enumerate(spec.actuators):
             # Otherwise the compiler would derive a servo's damping from the inertia with the payload.
             servo.gainprm, servo.biasprm = self.model.actuator_gainprm[k], self.model.actuator_biasprm[k]
         recipe = self.recipe and (*self.recipe, ("with_payload", (mass,), ImportOptions()))
         kept: dict[str, Any] = {name: getattr(self, name) for name in ("scene", "scene_seed", *LIMITS)}
-        return replace(self.recompiled(spec), payload=whole, recipe=recipe, **kept)
+        arm = replace(self.recompiled(spec), payload=whole, recipe=recipe, **kept)
+        if abs(arm.model.body(name).mass[0] - mass) > 1e-6 * mass:
+            raise InputError(f"settotalmass or boundmass in the file of {self.name!r} would change the payload")
+        return arm
 
     def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the spec, to be changed; `InputError` for a view, which has none."""
@@ -312,7 +312,8 @@ class Arm(ModelArm):
         model = compile_spec(spec)
         data = kinematics_at(model, self.qpos_home)
         more = {name: getattr(self, name) for name in ("name", "source", "import_report")}
-        return replace(Arm.viewing(model, data, self.named, spec=spec, **more), **kept)
+        arm = replace(Arm.viewing(model, data, self.named, spec=spec, **more), **kept)
+        return arm if self.grasp is None or arm.grasp is not None else arm.holding(*self.grasp.named)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"

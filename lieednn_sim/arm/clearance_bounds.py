@@ -5,8 +5,7 @@ Let A and B be convex geoms with a gap between them along a unit vector n, measu
 and, except for a remainder of second order, in the changes. So it suffices that the corners of a polytope around B stay
 off A. For a ball joint the lever |z x (x - o)| becomes |x - o|, and 1/2 becomes 3/4, since its rotation vector w turns
 the body by J(w) dw only to first order. Levers are computed at q, whatever the deviation. Any n gives a valid bound;
-the normal at the nearest points gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex
-hulls.
+the normal at the nearest points gives a sharp one. Geoms are assumed to be convex, as MuJoCo takes meshes to be.
 """
 
 from __future__ import annotations
@@ -87,8 +86,7 @@ class ClearanceBounds:
         The deviation d is any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
 
         Returns:
-            The scales ``(I,)``, up to ``most``; the same without the path; and the geoms ``(I, 2)`` that limit the
-            latter, or -1.
+            The scales ``(I,)``, up to ``most``; those without it; and the geoms ``(I, 2)`` that limit these, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)

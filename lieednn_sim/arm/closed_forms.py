@@ -59,8 +59,7 @@ class HingeSlide:
 
     where tr(Rot(theta)^T R) = x cos theta + y sin theta + const. Rotating (cos, sin) by atan2(c, b) turns it into a
     quadratic form on the unit circle. Its maximisation is a trust-region subproblem in the plane, solved by a root of a
-    secular equation beyond the largest eigenvalue, where that is convex (More and Sorensen, SIAM J. Sci. Stat. Comput.
-    4(3), 1983).
+    secular equation beyond the largest eigenvalue, where that is convex (More and Sorensen, SIAM JSSC 4(3), 1983).
 
     The maximum is unique and smooth in the pose except on the cut locus, where two angles are equally near: the
     rotation is half a turn away from those of the joint, or a translation against the slide outweighs the rotation.

@@ -39,7 +39,8 @@ def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
     An actuator on a fixed tendon of length sum c_i q_i determines only how far the stages extend together. It pulls
     stage i with c_i times its force, so similar stages (of equal inertia and friction) move in the ratio of the c_i,
     which is also the smallest motion that gives the length. Equal coefficients mean equal displacements, as with a belt
-    around all stages. `InputError` if such a tendon drives hinges and slides together.
+    around all stages. Where several tendons determine all their joints, as in a differential, no joint follows another.
+    `InputError` if such a tendon drives hinges and slides together.
     """
     for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
@@ -73,6 +74,9 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
             pulls[leader] = pulls.get(leader, 0.0) + coefficient * ratio
     heads = [joint for joint in joints if pulls.get(joint)]
     if len(heads) < 2 or driven_directly(model).intersection(heads):
+        return couplings
+    every = [coefficients(model, other) for other in driven_tendons(model)]
+    if np.linalg.matrix_rank([[each.get(head, 0.0) for head in heads] for each in every]) == len(heads):
         return couplings
     if len({int(model.jnt_type[joint]) for joint in heads}) > 1:
         name = model.tendon(tendon).name

@@ -30,8 +30,7 @@ _NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 class ContactOffsets:
     """Distances at which geoms begin to push each other: margins of a model, and those that a view sets for some pairs.
 
-    MuJoCo's margin of two geoms is the sum of their own, or that of their explicit pair; in a gap beyond it there is a
-    contact without a force.
+    MuJoCo's margin of two geoms is the sum of their own, or that of their explicit pair; in a gap there is no force.
 
     ``given`` are offsets [m] that replace the model's for some pairs of geoms, by the ids of both.
     """

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.grasp import Grasp
 from lieednn_sim.values import Floats
 
 # Kinds of transmission by which an actuator drives a joint.
@@ -89,15 +88,31 @@ def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
 
-    A motor's control range limits its force as well as its force range does.
+    The control range of a motor or velocity servo limits its force at rest as well as its force range does, and so does
+    the ``actuatorfrcrange`` of the tendon at which an actuator pulls.
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
-    motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
-    # An integrator's control is the rate of what acts.
-    motors &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-    by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
-    ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
+    for a in np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)).tolist():
+        if model.tendon_actfrclimited[tendon := model.actuator_trnid[a, 0]]:
+            ranges[a] = np.clip(ranges[a], *model.tendon_actfrcrange[tendon])
+    motors, biases = _motors(model)
+    by_control = np.sort(model.actuator_gainprm[:, :1] * control_ranges(model)) + biases[:, :1]
+    ranges[motors] = np.clip(by_control[motors], ranges[motors, :1], ranges[motors, 1:])
     return ranges
+
+
+def lost_forces(model: mujoco.MjModel) -> Floats:
+    """How much less force ``(nu,)`` limited controls of motors and velocity servos can exert, per unit velocity."""
+    motors, biases = _motors(model)
+    return np.where(motors & np.isfinite(control_ranges(model)).any(axis=1), -biases[:, 2], 0.0)
+
+
+def _motors(model: mujoco.MjModel) -> tuple[NDArray[np.bool_], Floats]:
+    """Which actuators ``(nu,)`` exert g ctrl + b0 + b2 v, whatever their lengths are, and b0, b1 and b2 of all."""
+    biases = np.where(model.actuator_biastype[:, None] == int(mujoco.mjtBias.mjBIAS_NONE), 0, model.actuator_biasprm)
+    # An integrator's control is the rate of what acts.
+    static = model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    return affine_actuators(model) & static & (biases[:, 1] == 0.0), biases[:, :3]
 
 
 def control_ranges(model: mujoco.MjModel) -> Floats:
@@ -134,7 +149,6 @@ def required_forces(
     qacc: Floats | float = 0.0,
     *,
     limited: bool = False,
-    grasp: Grasp | None = None,
 ) -> Floats:
     """Generalised forces ``(S, nv)`` that actuators need for a motion, after gravity compensation and springs.
 
@@ -144,7 +158,6 @@ def required_forces(
         qpos: MuJoCo's positions ``(S, nq)``.
         qvel, qacc: its velocities and accelerations ``(S, nv)``; by default at rest.
         limited: whether the forces are those that ``actuatorfrcrange`` limits, which include compensation by actuators.
-        grasp: a free body that is carried; its carrier exerts the forces that it needs.
     """
     data, compensated = scratch_data(model), bool(model.jnt_actgravcomp.any())
     if compensated:
@@ -153,7 +166,7 @@ def required_forces(
             by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
     forces = np.zeros((len(qpos), model.nv))
     qvel, qacc = forces + qvel, forces + qacc
-    inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
+    inertial = np.zeros(model.nv)
     bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
     for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):
         # The parts of mj_inverse before the constraints, for which it would look for contacts.
@@ -167,11 +180,6 @@ def required_forces(
         force += inertial
         if compensated:
             force -= by_actuator * compensation
-        if grasp is not None:
-            body, free = grasp.bodies[0], grasp.qvel
-            mujoco.mj_jac(model, data, linear, angular, data.xpos[body], grasp.carrier)
-            torque = data.xmat[body].reshape(3, 3) @ force[free + 3 : free + 6]
-            force += force[free : free + 3] @ linear + torque @ angular
     return forces
 
 

@@ -30,6 +30,7 @@ _DEPTH = 5e-4  # how much further than at the start the held body may sink into 
 class Grasp:
     """A free body fixed to the end effector."""
 
+    named: tuple[str, Sequence[str]]  # the names of the body, and of those that it may touch (`Arm.holding`)
     bodies: tuple[int, ...]  # its id, then those of all bodies that hang from it
     carrier: int  # id of the body that carries it, that of the end effector
     place: scipy.spatial.transform.RigidTransform  # in the end effector's frame
@@ -96,7 +97,7 @@ def find_grasp(
     turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
     pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    return Grasp((body, *bodies[bodies != body].tolist()), carrier, pose, *addresses, offsets)
+    return Grasp((holding, touching), (body, *bodies[bodies != body].tolist()), carrier, pose, *addresses, offsets)
 
 
 def add_payload(spec: Any, arm: SerialArm, mass: float, name: str) -> None:
@@ -115,14 +116,15 @@ def add_payload(spec: Any, arm: SerialArm, mass: float, name: str) -> None:
 def load_body(model: mujoco.MjModel, arm: SerialArm, mass: float) -> None:
     """Add a ball [kg] to the mass and inertia of the end effector's body in a compiled model, which is changed.
 
-    `InputError` if MuJoCo compensates that body for gravity, at its centre of mass.
+    `InputError` if MuJoCo compensates that body for gravity, at its centre of mass, or takes it for symmetric.
     """
     tip = arm.frames[-1:]
     body, turn = int(tip.bodies[0]), np.empty(9)
-    if model.body_gravcomp[body]:
+    if model.body_gravcomp[body] or (model.body_simple[body] and tip.positions[0].any()):
         raise InputError(
             f"a payload cannot be added to {model.body(body).name!r} of a compiled model, whose gravity MuJoCo "
-            "compensates at its centre of mass: set its gravcomp to zero, or add the payload to the model as a body"
+            'compensates at its centre of mass, or which it takes for symmetric: give it gravcomp="0" and '
+            'simple="false", or add the payload to the model as a body'
         )
     mujoco.mju_quat2Mat(turn, model.body_iquat[body])
     rotation, before = turn.reshape(3, 3), float(model.body_mass[body])

@@ -181,8 +181,7 @@ class _Search:
         """The joint coordinates of least error next to ``q``, drawn near others on the way; and their largest error.
 
         Levenberg-Marquardt steps in units of the joints' ranges, within the limits, each the optimum of a quadratic
-        program. The damping is the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that convergence is
-        quadratic at solutions.
+        program. The damping is the squared error (Sugihara, IEEE T-RO 27(5), 2011): convergence is quadratic.
         """
         arm, data, balls, spread = self._arm, self._data, self._arm.space.balls, self._arm.ranges
         # The coordinates, then the angles of ball joints, which have the limits of their first coordinates.

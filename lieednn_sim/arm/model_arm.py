@@ -40,8 +40,7 @@ class ModelArm(SerialArm):
     Attributes:
         recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
             cannot be pickled, and for a view of a compiled model.
-        clearance: distance that planned motions keep from contact, start and target included [m]; change it with
-            `dataclasses.replace`.
+        clearance: distance that planned motions keep from contact, ends included [m]; set by `dataclasses.replace`.
         start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
             it is then moved to the limit (`check_start`).
         leaves: for an arm that `leaving` returns, the configuration ``(n,)`` at which its motions begin.
@@ -311,6 +310,11 @@ class ModelArm(SerialArm):
         at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,), batched=True)
         return np.swapaxes(self.qvel(at[..., None, :], np.eye(self.n_joints)), -1, -2)
 
+    def moving(self, qpos: Floats) -> Floats:
+        """`unit_rates` ``(nv, n)`` without what is carried; with closed loops ``(K, nv, n)``, at ``(K, nq)``."""
+        unit, tied = tangent_basis(self.space), self.dependents
+        return unit if tied is None else tied.basis(qpos) @ unit[tied.dofs]
+
     def holding(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
         """This view of a model, with a free body that its end effector carries from its place in ``home`` on.
 
@@ -323,8 +327,7 @@ class ModelArm(SerialArm):
             tied: whether something else fixes it to the hand; then it may be anywhere.
 
         Raises:
-            InputError: the arm is no view, or there is no such body at the hand: up to 0.1 m away, or a tenth of the
-                hand's distance from its base.
+            InputError: the arm is no view, or no such body is at the hand: up to 0.1 m or a tenth of its reach away.
         """
         return replace(self, grasp=find_grasp(self, self._require_view(), body, touching, self.clearance, tied))
 

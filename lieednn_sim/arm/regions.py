@@ -103,8 +103,7 @@ class TaskSpaceRegion:
         Args:
             rotation: orientation of the end effector in the world.
             tolerance: deviation from it about each axis [rad].
-            axis: ``(3,)`` axis of the world about which it may turn freely, which is z of the region's frame; none when
-                omitted.
+            axis: ``(3,)`` axis of the world about which it may turn freely, z of the region's frame; by default none.
         """
         width = np.full(3, as_nonnegative("tolerance", tolerance, _FARTHEST))
         frame = scipy.spatial.transform.Rotation.identity()

@@ -114,8 +114,7 @@ class Interruption:
 
     A second signal ends the process at once. Objects that an interruption leaves half released, such as an OpenGL
     context, may raise when Python deletes them; these errors are not printed in the block or, if it is the ``last`` one
-    before the process ends, after it. ``received`` is the signal, if any: libraries may swallow the exception or turn
-    it into another one.
+    before the process ends, after it. ``received`` is the signal, if any: libraries may swallow or change exceptions.
     """
 
     def __init__(self, *, last: bool = False) -> None:

@@ -158,6 +158,7 @@ class Evaluation:
     velocity_excess: float
     acceleration_violations: int
     acceleration_excess: float
+    force_fraction: float
     planned_force_fraction: float | None = None
     causes: tuple[str, ...] = ()
     proof: str = ""
@@ -175,14 +176,12 @@ class Evaluation:
     tracking_max_mm: float = field(init=False)
     tracking_max_deg: float = field(init=False)
     velocity_fraction: float = field(init=False)
-    force_fraction: float = field(init=False)
 
     def __post_init__(self) -> None:
         times = [frame.settling_s for frame in self.frames if frame.settling_s is not None]
         results = {
             "settling_s": max(times) if len(times) == len(self.frames) else None,
             "velocity_fraction": max(joint.peak_velocity / joint.velocity_limit for joint in self.joints),
-            "force_fraction": max(joint.peak_force / joint.force_limit for joint in self.joints),
         }
         for unit in ("mm", "deg"):
             results[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")

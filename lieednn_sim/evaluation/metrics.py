@@ -25,7 +25,7 @@ from lieednn_sim.evaluation.evaluation import (
 )
 from lieednn_sim.evaluation.load import load_metrics
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
-from lieednn_sim.planning.statics import force_use
+from lieednn_sim.planning.statics import exerted_use, force_use
 from lieednn_sim.simulation import Following, Rollout
 from lieednn_sim.simulation.rollout import SLIP
 from lieednn_sim.validation import as_floats, as_positive
@@ -71,7 +71,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
-        proof="" if proof is None else "; ".join(filter(None, (str(proof), rollout.outside))),
+        proof="; ".join(filter(None, (str(proof or ""), rollout.outside if clearance else ""))),
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
         sequence=bool(rollout.steps),
@@ -80,6 +80,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
+        force_fraction=exerted_use(arm, rollout.qpos, rollout.qd, rollout.force),
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         load=load_metrics(rollout, clearance=clearance),

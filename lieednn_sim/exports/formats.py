@@ -88,8 +88,7 @@ def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None 
     """Write ``<name>.csv`` for each rollout; see `export`.
 
     The columns are the time, for each joint coordinate its planned and measured position and velocity, and the
-    measured pose of the end effector in the world, its rotation as a unit quaternion without jumps of sign. Numbers are
-    exact.
+    measured pose of the end effector in the world, its rotation as a unit quaternion without jumps of sign, all exact.
     """
     for name, rollout in rollouts.items():
         arm, rows = rollout.arm, samples(rollout, rate)

@@ -80,8 +80,7 @@ class TrainingOptions(LearningOptions):
             one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
             more than ``max_jump``.
         max_epochs: largest number of epochs over all starts; only this number limits the last start.
-        verified_stop: test the tolerance with the weights after step and projection; the printed algorithm tests
-            before.
+        verified_stop: test the tolerance after step and projection; the printed algorithm tests before.
     """
 
     direction: str = "gradient"

@@ -261,8 +261,7 @@ def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
     f_2 = (1 - cos)/theta^2, f_3 = (theta - sin)/theta^3, f_4 = (theta^2/2 + cos - 1)/theta^4,
     f_5 = (theta^3/6 + sin - theta)/theta^5, and f_n = 1/n! - theta^2 f_(n+2).
     """
-    # Small angles [rad] are summed as Taylor series: the closed forms lose digits by cancellation, that of f_5 all of
-    # them at 1e-3.
+    # Small angles [rad] are summed as Taylor series: the closed forms lose digits, that of f_5 all of them at 1e-3.
     big = angle > 1.0
     square = np.where(big, 0.0, angle) ** 2
     x = np.where(big, angle, 1.0)

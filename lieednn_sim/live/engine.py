@@ -127,8 +127,7 @@ def foreseen(
 ) -> tuple[Floats, Floats, Floats] | None:
     """Samples t, q and qd of a policy's way to its target, like those of a motion; None if the way is not known.
 
-    For a network the way is its orbit from the present state, which limits and a slow arm only slow down; t then counts
-    the points.
+    For a network it is its orbit from the present state, which limits and a slow arm only slow down; t counts points.
     """
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
         return motion.t, motion.q, motion.qd

@@ -151,16 +151,13 @@ class ComponentwiseNetwork(BlockNetwork):
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
 
         The header says what each function does; the numbers, ``lieednn_numbers.h``, begin with the certificate. A step
-        is that of `policies` and of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be
-        moved as by `retarget`.
+        is that of `policies` and of `dynamics.runge_kutta_step`, of order 4. The target can be moved as by `retarget`.
 
         Args:
-            folder: where to write them; it is made if it is missing, and returned. Files of these names there are
-                replaced.
+            folder: where to write them, made if it is missing, and returned. Files of these names are replaced.
 
         Raises:
-            InputError: the activation is the user's own, hidden neurons have inputs from visible ones, or there is no
-                equilibrium.
+            InputError: the activation is the user's own, visible neurons act on hidden ones, or no equilibrium exists.
             FileError: the files cannot be written.
         """
         return write_c(self, self.activation, folder)
@@ -173,8 +170,7 @@ class ComponentwiseNetwork(BlockNetwork):
 
         Args:
             path: the file, which is replaced if it exists.
-            bias_input: whether there is a third input ``bias``, mu b flat, so that the target can be moved: by the bias
-                of a network that `retarget` made.
+            bias_input: whether there is a third input ``bias``, mu b flat, to move the target as `retarget` does.
 
         Raises:
             InputError: the activation is not tanh.

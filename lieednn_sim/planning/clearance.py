@@ -212,6 +212,7 @@ def proved_clearance(
     far: float = FAR,
     own: bool = True,
     others: bool = False,
+    slack: float = 0.0,
 ) -> Clearance:
     """Bound the distances from contact along a motion, at every instant; a held body may touch what it stands on.
 
@@ -221,6 +222,7 @@ def proved_clearance(
         far: distance beyond which nothing is measured [m].
         own: whether the arm's own parts, its base included, count against each other.
         others: whether `Clearance.others` is found, for those who read it.
+        slack: by how much geoms may be nearer to each other than the joints have them [m].
     """
     bounds, step = bounds_of(arm.unsupported, own), float(t[1] - t[0])
     if isinstance(bounds, str):
@@ -234,8 +236,9 @@ def proved_clearance(
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = bounds.least(at, way, rest, nearest)
-        there, _ = bounds.least(at, 0.0 * way, left, nearest)
+        least, pairs = bounds.least(at, way, rest, nearest + slack)
+        there, _ = bounds.least(at, 0.0 * way, left, nearest + slack)
+        least, there = least - slack, there - slack
         nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
@@ -255,7 +258,9 @@ def proved_clearance(
     # Without any time that is proved, up to rounding, there is no bound.
     bound = bound if proved > 1e-9 else -np.inf
     near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
-    apart = proved_clearance(arm, t, q, qd, off, far=far, own=False) if others and near and bounds.owns(pair) else None
+    apart = None
+    if others and near and bounds.owns(pair):
+        apart = proved_clearance(arm, t, q, qd, off, far=far, own=False, slack=slack)
     return Clearance(bound, time, near, stretches, proved, doubtful=touching, others=apart)
 
 

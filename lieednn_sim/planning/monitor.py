@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from lieednn_sim._mujoco import kinematics_at, scratch_data
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, proved_clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
+
+MOVED = 2e-3  # by how much other joints may bring geoms nearer to each other [m]
 
 
 class ClearanceMonitor:
@@ -67,37 +70,46 @@ class ClearanceMonitor:
             qpos: ``(nq,)`` positions of everything in the model, if they are known.
         """
         leaves = f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s:"
-        if qpos is not None and moved_besides(self._arm, q, qpos):
+        slack = 0.0 if qpos is None else 2.0 * displaced(self._arm, q[None], qpos[None])
+        if not slack < MOVED:
             return f"{leaves} more has moved than the arm"
+        if isinstance(bounds := self._bounds, str):
+            return f"{leaves} {bounds}"
         end = min(at, self._last)
         error = np.abs(q - self._cubics.at([end])[0][0])
         begin, before = self._before or (end, error)
         self._before, widest = (end, error), np.maximum(before, error)
         first, last = np.clip(self.edges.searchsorted([begin, end], "right") - 1, 0, len(self.allowed) - 1)
         allowed = float(self.allowed[first : last + 1].min())
-        if np.linalg.norm(widest) < allowed:
+        if slack == 0.0 and np.linalg.norm(widest) < allowed:
             return ""
-        if isinstance(bounds := self._bounds, str):
-            return f"{leaves} {bounds}"
         begin = min(begin, self._last - 1.0)
         self._off[int(begin) : int(np.ceil(end)) + 1] = widest
         middle, way, rest, _ = self._cubics.around([begin], [end])
-        least, pairs = bounds.least(middle, way, rest, NEAR)
-        if least[0] > 0.0:
+        least, pairs = bounds.least(middle, way, rest, NEAR + slack)
+        if least[0] > slack:
             return ""
         # The joint to blame: the one without whose error the bound would be largest.
         n = len(q)
         without, _ = bounds.least(middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
         joint, near = int(without.argmax()), ""
         if pairs[0, 0] >= 0:
-            near = ", and {!r} may touch {!r}".format(*bounds.names(pairs[0]))
+            others = f", other joints bring parts up to {1e3 * slack:.2g} mm nearer" if slack > 0.0 else ""
+            near = "{}, and {!r} may touch {!r}".format(others, *bounds.names(pairs[0]))
         return (
             f"{leaves} joint {self._arm.joint_names[joint]!r} is {error[joint]:.3g} {self._arm.unit(joint)} off{near}; "
             f"all errors up to {allowed:.3g} are proved there (Euclidean norm, [rad, m])"
         )
 
 
-def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
-    """Whether positions ``(..., nq)`` differ from those that the arm's joints ``(..., n)`` imply."""
-    most = 1e-3  # tolerance, for example for a finger that its servo holds [m, rad]
-    return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())
+def displaced(arm: Arm, q: Floats, qpos: Floats) -> float:
+    """How far points of geoms are at positions ``(K, nq)`` from where the joints ``(K, n)`` have them, at most [m]."""
+    model, implied, most = arm.model, arm.qpos(q, strict=False), 0.0
+    for k in np.flatnonzero(~(np.abs(qpos - implied) < 1e-9).all(axis=1)).tolist():
+        data, frames = scratch_data(model), list[Floats]()
+        for row in (qpos[k], implied[k]):
+            kinematics_at(model, row, data)
+            frames.append(np.hstack([data.geom_xpos, model.geom_rbound[:, None] * data.geom_xmat]))
+        shift, turn = np.split(frames[1] - frames[0], [3], axis=1)
+        most = np.maximum(most, (np.linalg.norm(shift, axis=1) + np.linalg.norm(turn, axis=1)).max(initial=0.0))
+    return float(most)

@@ -125,8 +125,7 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
 
     With limits a of acceleration and j of jerk, a joint needs v / a + a / j to reach a speed v >= a^2 / j, and
     2 sqrt(v / j) for a lower one. Each joint reaches the highest speed from which it can brake in time, at most its
-    limit, cruises, and brakes: a distance d takes d / v plus the time to reach v. No motion within the limits is
-    faster.
+    limit, cruises, and brakes: a distance d takes d / v plus the time to reach v. Nothing within the limits is faster.
     """
     distance, v, a = np.abs(target - start), arm.velocity_limits, arm.acceleration_limits
     # Missing limits are infinite, which the formulas cannot use; large finite ones have the same effect.

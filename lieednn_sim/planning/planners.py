@@ -84,8 +84,7 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
     return result
 
 
-#: Name of the default planner among obstacles: the LieEDNN planner with the most successes and the smoothest motions
-#: there, with or without OMPL.
+#: The default planner among obstacles: the LieEDNN planner with most successes and the smoothest motions there.
 OBSTACLE_PLANNER = "lieednn-shaped"
 
 
@@ -141,11 +140,9 @@ def plan(
             long. Learned networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
-        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies only to planning, and
-            to a motion that stays in place.
+        fastest: retime the planned path to the arm's limits (`retime`); the duration is then that of planning alone.
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
-            target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
-            some planners can keep one.
+            target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed. Only some planners can keep one.
         payload: mass at the end effector [kg]; the plan's arm has it, too (`Arm.with_payload`). With or without a
             payload, motions that need more force than the actuators have take longer.
         settle: a name of `settling.METHODS` or `SettlingOptions`: a time law on the planned path that leaves hanging or

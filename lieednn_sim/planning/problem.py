@@ -49,8 +49,7 @@ class PlanningProblem:
         target: ``(n,)`` joint position at the end, at rest [rad, m].
         duration: duration of the motion [s].
         seed: seed of randomised planners.
-        longest: largest duration that the motion may take if the arm's limits require it [s]; by default three times
-            the duration.
+        longest: largest duration that the motion may take if limits require it [s]; by default three times as long.
         path_constraint: region in which the end effector stays on the way; none if it may go anywhere.
 
     Raises:
@@ -96,8 +95,7 @@ class Plan:
     Attributes:
         motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).
         network: the network that made the motion, with the target as its equilibrium; None for planners without one.
-        details: further results of the planner: `certified.CertifiedDetails` or `shaped.ShapedDetails`; None for other
-            planners.
+        details: further results of some planners: `certified.CertifiedDetails` or `shaped.ShapedDetails`.
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].

@@ -190,7 +190,7 @@ class _Planned:
 def _heavier(model: mujoco.MjModel, qpos: Floats, dofs: NDArray[np.int_]) -> mujoco.MjModel:
     """A copy of a model in which some dofs have extra inertia, relative to that at ``(nq,)``, and no actuators."""
     heavy = copy.deepcopy(model)
-    heavy.dof_armature[dofs] += _HELD * largest_inertia(model, qpos[None], np.eye(model.nv))[dofs]
+    heavy.dof_armature[dofs] += _HELD * largest_inertia(model, qpos[None], np.eye(model.nv)[:, dofs])
     driving = actuator_moments(model)[:, dofs].any(axis=1)
     heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
     return heavy

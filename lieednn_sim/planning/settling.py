@@ -44,8 +44,7 @@ class SettlingOptions(PlannerOptions):
 
     Attributes:
         method: a name of `METHODS`.
-        loads: further masses of what hangs, as fractions of the model's, with which ``least-energy`` minimises the
-            energy left, too.
+        loads: further masses of what hangs, as fractions of the model's, for which ``least-energy`` settles, too.
         lengths: the same for the lengths at which it hangs.
         modes: number of the slowest modes for which a shaper is made.
     """

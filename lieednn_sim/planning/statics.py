@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, required_forces, tangent_basis
+from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, lost_forces, required_forces
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, weakly_cached
 
 _NEAR = 0.7  # of a limit; above it more samples are checked, between which 288 fast motions had < 1.25 times as much
 _TOLERANCE = 1e-6  # relative excess of a force over its limit that is allowed
-_RESTING = 1e-6  # rate below which dry friction holds a joint rather than brakes it [rad/s, m/s]
+# Rate below which dry friction holds a joint rather than brakes it [rad/s, m/s], and least bound of a force [N m, N].
+_RESTING, _LEAST = 1e-6, 1e-6
 
 
 class TooWeakError(PlanError, InputError):
@@ -26,6 +27,12 @@ def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
 
 
+def exerted_use(arm: Arm, qpos: Floats, qd: Floats, force: Floats) -> float:
+    """Largest use of limits, as in `force_use`, by forces ``(K, n)`` along the coordinates, with rates qd."""
+    basis = arm.moving(qpos)
+    return float(_use(_with_bounds(arm, force, basis, np.matvec(basis, qd))).max())
+
+
 def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
     """Forces along a path q(s) over their bounds: coefficients ``(4, S, 2 m)`` of s'', s'^2, s' > 0 and 1.
 
@@ -35,7 +42,7 @@ def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
     ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
     rates = arm.qvel(q, slope)
     still, damping, rest = _parts(arm, q, slope, rates, (ahead - behind) / (2.0 * step))
-    forces = np.stack([_needed(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
+    forces = np.stack([needed_forces(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
     return np.concatenate([forces / bound for bound in _bounds(arm)], axis=2)
 
 
@@ -44,9 +51,7 @@ def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
 
     It is checked at configurations q ``(K, n)``; ``where`` says what each is, for the message.
     """
-    if not _limited(arm):
-        return
-    use = _use(forces := _needed(arm, q, np.zeros_like(q)))
+    use = _use(forces := needed_forces(arm, q, np.zeros_like(q)))
     k, j = map(int, np.unravel_index(use.argmax(), use.shape))
     if use[k, j] > 1.0:
         raise TooWeakError(_overload(arm, j, f"cannot be held at {where[k]}", *forces[:, k, j]))
@@ -56,7 +61,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     """Compare the forces that a motion needs, by inverse dynamics, with those that the arm's actuators have.
 
     The arm includes its payload and what it holds; arguments are as for `motion.check_joints`. Dry friction acts
-    against the motion; contacts are left out. First a few samples and those with the largest accelerations are checked.
+    against the motion; contacts are left out. First a few samples and those with extreme accelerations are checked.
     If one of these needs 0.7 of a limit, about 250 are, and then all samples near those that need as much, or where an
     acceleration changes by a fifth of its largest value.
 
@@ -70,9 +75,9 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
         TooWeakError: f0 alone is beyond a limit.
     """
     last = len(t) - 1
-    looks, fastest = np.linspace(0, last, 33).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
-    first = np.append(np.minimum(looks, last - 1), fastest)
-    if not _limited(arm) or (near := _use(_along(arm, t, q, qd, first)).max(axis=1) > _NEAR).sum() == 0:
+    looks, changes = np.linspace(0, last, 33).round().astype(int), np.diff(qd, axis=0)
+    first = np.concatenate([np.minimum(looks, last - 1), changes.argmax(axis=0), changes.argmin(axis=0)])
+    if np.isinf(_bounds(arm)).all() or (near := _use(_along(arm, t, q, qd, first)).max(axis=1) > _NEAR).sum() == 0:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
     # About 250 samples tell whether a motion is far too fast, as many are. If not, check those near the busiest, too.
@@ -115,59 +120,84 @@ def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | 
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
 
 
-def _limited(arm: Arm) -> bool:
-    """Whether any force has a limit."""
-    return bool(np.isfinite(_bounds(arm)).any())
+@weakly_cached
+def _simple(arm: Arm) -> bool:
+    """Whether `Arm.force_limits` say all: no actuator, or pair of them, has a limit that these do not show."""
+    if arm.dependents is not None:
+        return False
+    moves = np.abs(actuator_moments(arm.model) @ arm.unit_rates()) > 1e-9
+    (low, high), lost = (of(arm.model)[moves.any(axis=1)].T for of in (actuator_ranges, lost_forces))
+    alone = max(moves.sum(axis=0).max(), moves.sum(axis=1).max(initial=0)) <= 1
+    return bool(alone and not lost.any() and (low < 0.0).all() and (high > 0.0).all())
 
 
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest forces ``(m,)`` along the coordinates, or of the actuators, as in `_needed`."""
-    return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
+    """Least and largest forces ``(m,)``, as in `needed_forces`."""
+    most = arm.force_limits if arm.dependents is None else np.full(arm.n_joints, np.inf)
+    low, high = np.stack([-most, most])
+    if not _simple(arm):
+        model = arm.model
+        ranges = [actuator_ranges(model), model.jnt_actfrcrange[model.jnt_actfrclimited != 0]]
+        low, high = np.concatenate([[low, high], *(each.T for each in ranges)], axis=1)
+    return np.minimum(low, -_LEAST), np.maximum(high, _LEAST)
 
 
 def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
-    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `_needed`."""
+    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `needed_forces`."""
     # Only the forces of dampers change their sign if the rates are reversed.
-    still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
+    still, along, back = (needed_forces(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
     return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])
 
 
-def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
+def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
     """Forces needed at configurations q ``(S, n)``, with dry friction against rates qd, and their bounds ``(2, S, m)``.
 
-    They are generalised forces along the coordinates or, if there are closed loops, forces of the actuators.
+    They are generalised forces along the coordinates. Where limits of these do not say all, such as in closed loops or
+    with tendons that pull at several joints, those of all actuators and at joints with a limited sum of forces follow.
     """
-    model, basis, qpos = arm.model, tangent_basis(arm.space), arm.qpos(q)
-    if arm.dependents is not None:
-        basis = arm.dependents.basis(qpos) @ basis[arm.dependents.dofs]
-    needed = np.vecmat(required_forces(model, qpos, qvel, qacc, limited=True, grasp=arm.grasp), basis)
-    friction = dry_friction(model, basis)
+    # With rates of what is carried in them, these include the forces on it.
+    basis = arm.unit_rates(None if arm.grasp is None and arm.dependents is None else q)
+    needed = np.vecmat(required_forces(arm.model, arm.qpos(q), qvel, qacc, limited=True), basis)
+    friction = dry_friction(arm.model, basis)
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
-    low, high = _bounds(arm)
-    if arm.dependents is not None:
+    return _with_bounds(arm, needed, basis, qvel)
+
+
+def _with_bounds(arm: Arm, needed: Floats, basis: Floats, qvel: Floats | float) -> Floats:
+    """Forces along the coordinates ``(S, n)``, and those that follow from them, with bounds, as in `needed_forces`."""
+    (low, high), model = _bounds(arm), arm.model
+    if not _simple(arm):
         # The actuator forces of least norm that have this effect.
-        exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
-        needed = np.matvec(exert, needed)
+        moments = actuator_moments(model)
+        exerted = np.matvec(np.linalg.pinv(np.swapaxes(moments @ basis, -1, -2)), needed)
+        sums = exerted @ moments[:, model.jnt_dofadr[model.jnt_actfrclimited != 0]]
+        controlled = exerted + lost_forces(model) * np.matvec(moments, qvel + np.zeros(model.nv))
+        needed = np.concatenate([needed, controlled, sums], axis=1)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
 
 
 def _along(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = _needed
+    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = needed_forces
 ) -> Floats:
-    """`_needed` for some samples of a motion, each with the acceleration to the next sample."""
+    """`needed_forces` for some samples of a motion, each with the acceleration to the next sample."""
     qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
-    return of(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
+    # At the first step from rest, dry friction acts against the motion, too.
+    return of(arm, q[rows], qd[rows] + qd[rows + 1], qvel, (after - qvel) / (t[1] - t[0]))
 
 
 def _use(forces: Floats) -> Floats:
-    """Forces of `_needed` in units of their bounds ``(S, m)``."""
-    return np.asarray(np.abs(forces[0]) / np.maximum(forces[1], 1e-12))
+    """Forces of `needed_forces` in units of their bounds ``(S, m)``."""
+    return np.asarray(np.abs(forces[0]) / forces[1])
 
 
 def _overload(arm: Arm, j: int, where: str, load: float, limit: float) -> str:
     """The message that a force is beyond its bound."""
-    what, unit = f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
-    if arm.dependents is not None:
-        what, unit, where = f"actuator {arm.model.actuator(j).name!r}", "N or N m", where.replace("be held", "hold")
+    model, unit, n = arm.model, "N or N m", arm.n_joints
+    if j < n:
+        what, unit = f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
+    elif j < n + model.nu:
+        what, where = f"actuator {model.actuator(j - n).name!r}", where.replace("be held", "hold")
+    else:
+        what = f"joint {model.joint(int(np.flatnonzero(model.jnt_actfrclimited)[j - n - model.nu])).name!r}"
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
     return f"{what} {where}{carried}: its load is {abs(load):.4g} {unit}, its force limit {limit:.4g} {unit}"

@@ -30,8 +30,7 @@ class Move:
     """A motion of the arm to a goal, planned by `plan`.
 
     Attributes:
-        goal: any goal of `plan`: joint positions, a pose of the tip, the name of a keyframe of the model; ``home`` is
-            where the sequence begins.
+        goal: any goal of `plan`, such as a pose of the tip or a keyframe; ``home`` is where the sequence begins.
         name: what the move is called, by default the goal if that is a name.
         holding: name of the free body that the tip carries, from its place at the beginning of the move.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.

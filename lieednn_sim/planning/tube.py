@@ -47,8 +47,7 @@ class Tube:
 
     Attributes:
         size: s, the shift of every link [m]. Each link may at the same time turn by s over its lever arm, the longest
-            distance of the end effector from it on the way: by as much as moves the end effector by s. Sizes above 0.1
-            are not looked for.
+            distance of the end effector from it on the way: as far as moves the end effector by s. At most 0.1.
         rotation: ``(N,)`` largest deviation |d omega| of each link [rad].
         translation: ``(N,)`` largest deviation |d v| of each link [network coordinates, `Arm.length_scale` m].
         push: largest Euclidean norm, over all visible coordinates, up to which a perturbation of the state is harmless

@@ -93,10 +93,8 @@ class ChunkPolicy(ReplanningPolicy):
     Attributes:
         source: a function to be set, None at first. It is called in each period with `now` and the measured joints
             ``(n,)``, or the reference if nothing is measured, and returns None, or the arguments of `accept`.
-        verdict: that of the last chunk; while it is followed, ``unproved`` may be added, or a finding that refuses a
-            later part.
-        counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
-            ``refused``.
+        verdict: that of the last chunk; later ``unproved`` may be added, or a finding that refuses what is left.
+        counts: findings of each kind since the reset, ``unproved`` motions, and chunks ``accepted`` and ``refused``.
     """
 
     channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})

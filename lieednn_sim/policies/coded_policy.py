@@ -6,8 +6,7 @@ With the universal network's time z, its field F, and the clock's rate r(t) of a
 
 with s, k and d of `feedback`, and a pace p <= s that keeps the joints' accelerations within their limits, both while
 speeding up and while slowing down. A change to another motion replaces the code, that is the hidden state, and the
-bias. The visible state stays the same, and the code is chosen so that its velocity and acceleration do, too
-(`transition`).
+bias. The visible state stays the same, and the code keeps its velocity and acceleration, too (`transition`).
 
 What is proved: the certificate covers every code and every bias. After the last change, once the arm keeps up (s > 0
 and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. Whether a

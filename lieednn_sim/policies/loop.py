@@ -81,8 +81,7 @@ def control_loop(
 
     The policy is reset at the measured joints. If its reference for a joint breaks a limit of velocity or acceleration,
     the joint is sent one that lags behind within the limits. After a period that ends late, the next one begins at
-    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
-    in it.
+    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop.
 
     At the end the reference brakes to rest, straight ahead, within the acceleration limits. This happens after the
     duration, if more faults occur than the options tolerate, if the policy, `stop` or `on_late` raises, and at Ctrl-C
@@ -91,8 +90,7 @@ def control_loop(
 
     Args:
         read: called once a period; returns measured joints ``(n,)``, or None if there are none, but not at first.
-        write: called with the reference q and qd ``(n,)`` for the end of the period; if it raises, it is called with
-            the same ones in the next period.
+        write: called with the reference q and qd ``(n,)`` for the end of the period, and again if it raises.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; if
             this raises, or its result is malformed or out of reach, the last target stays.
         duration: [s], rounded up to a whole number of periods.

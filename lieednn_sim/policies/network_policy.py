@@ -128,8 +128,7 @@ class NetworkPolicy(FeedbackPolicy):
         to, as after `reset`; it does not go on from the present state.
 
         Args:
-            folder: where to write them; it is made if it is missing, and returned. Files of these names there are
-                replaced.
+            folder: where to write them, made if it is missing, and returned. Files of these names are replaced.
 
         Raises:
             InputError: the arm's joints move others that have ranges of their own; or as for `LieEDNN.to_c`.

@@ -4,8 +4,7 @@ To a new target it goes straight if that is clear. Where something is in the way
 new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
 where it can rest. If there is none, the arm waits there, and the search is made again. Obstacles are where they were
 last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there,
-like every planned motion. A period has no time to prove straight motions and transitions onto paths; these are only
-checked, at samples.
+like every planned motion. Straight motions and transitions onto paths are only checked, at samples, to save time.
 
 If an obstacle, going on as it does, will come too near to where the arm rests or can rest, the arm gets out of its way
 (`evasion`) by another motion of the same network. It comes back when the way to the target stays free.

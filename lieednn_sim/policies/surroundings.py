@@ -26,8 +26,7 @@ _LOOKS = 3  # periods over which velocities are averaged
 class Surroundings:
     """The arm's scene with moving obstacles at their last known places.
 
-    A moving obstacle is in the way if it is nearer than the margin [m], everything else if nearer than the arm's
-    clearance.
+    Moving obstacles are in the way if nearer than the margin [m], everything else if nearer than the arm's clearance.
 
     Attributes:
         places: positions ``(3,)`` of the moving obstacles' bodies [m], by name; empty before any was seen.
@@ -197,8 +196,7 @@ def evasion(
     """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they arrive.
 
     Configurations around the start are tried in the order in which straight motions reach them. The first one is taken
-    at which, and on the way to which, the arm stays clear of obstacles, where they are now and as they move;
-    `PlanError` if there is none.
+    at which, and on the way to which, the arm stays clear of obstacles as they move; `PlanError` if there is none.
 
     Args:
         places, velocities: those of the obstacles ``(3,)`` [m, m/s], by name, as in `Surroundings`.

@@ -73,8 +73,7 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
     It shows the arm in its scene, the target, the planned path, the paths travelled so far by the end effector and by a
-    hanging load, and a caption. It opens as a file, loads nothing from the network, and follows the reader's choice of
-    light or dark.
+    hanging load, and a caption. It opens as a file, loads nothing from the network, and is light or dark as preferred.
 
     Args:
         rollout: the rollout.

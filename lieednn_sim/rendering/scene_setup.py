@@ -102,8 +102,7 @@ def camera(
 ) -> mujoco.MjvCamera:
     """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points.
 
-    A picture of width / height ``ratio`` then contains the points ``(P, 3)``, seen from the side that shows most of the
-    path of a ``run``.
+    A picture of width / height ``ratio`` has the points ``(P, 3)`` in it, and shows most of the path of a ``run``.
     """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
     result = mujoco.MjvCamera()

@@ -38,8 +38,7 @@ class Actuators:
         bias: ``(3, nu)`` their b0, b1 and b2.
 
     Raises:
-        InputError: an actuator that moves the arm is not affine, has memory, or is not on joints or fixed tendons; or
-            the actuators cannot move the arm.
+        InputError: an actuator that moves the arm is not `forces.DRIVABLE`, or the actuators cannot move the arm.
     """
 
     def __init__(self, arm: Arm, *, complete: bool = True) -> None:
@@ -110,8 +109,7 @@ class Actuators:
         """Change ``(..., nu)`` of the controls with the effect of measurement errors on the servos' feedback.
 
         f = g ctrl + b0 + b1 (l + e_l) + b2 (v + e_v) = g (ctrl + (b1 e_l + b2 e_v) / g) + b0 + b1 l + b2 v; for a
-        position actuator that is ctrl - e_l - (kv / kp) e_v. The servos of a ball joint measure its rotation vector,
-        and e_l is an error of that.
+        position actuator that is ctrl - e_l - (kv / kp) e_v. For a ball joint, e_l is that of its rotation vector.
         """
         length, velocity = (np.matvec(self.moment, error) for error in (noise.position, noise.velocity))
         return (self.bias[1] * length + self.bias[2] * velocity) / self.gain

@@ -102,8 +102,7 @@ class Disturbances:
     Attributes:
         pushes: forces on bodies.
         payload: mass at the frame of the end effector [kg], unknown to controller and gravity compensation.
-        mass_scale: masses and inertias of the simulated arm, relative to those in the controller's model and in gravity
-            compensation.
+        mass_scale: masses and inertias of the simulated arm, relative to those of controller and gravity compensation.
         position_noise: standard deviation of the white noise on each measured joint position, at every step [rad, m].
         velocity_noise: standard deviation of the same for each measured joint velocity [rad/s, m/s].
         seed: seed of the noise.

@@ -32,8 +32,7 @@ class Following:
     """A rollout of an arm that follows a policy.
 
     Attributes:
-        rollout: the rollout. Its reference is the policy's, cubic between control periods; `motion_end` is its end, and
-            its channels include the policy's.
+        rollout: the rollout, with the policy's channels and reference, cubic between control periods.
         target: ``(K, n)`` the target at the rollout's times.
         states: ``(L, ...)`` the policy's states at the beginnings of the L control periods; ``(L, N, 6)`` of a network.
         period: simulation steps in a control period.
@@ -83,8 +82,7 @@ def follow(
             simulation step, the last of which stays.
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
-        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` if servos drive the arm, otherwise
-            ``feedback-linearisation``.
+        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` for servos, or ``feedback-linearisation``.
         disturbances: disturbances unknown to policy and controller.
         log: further quantities to log, as for `simulate`.
 
@@ -134,8 +132,7 @@ class ClosedLoop:
         loop.advance(target)    # one control period; or `decide`, and for each of its steps `act` and the step itself
 
     Args:
-        policy: its rate must divide the rate of the simulation; between periods, another one of the same arm and rate
-            may take its place.
+        policy: its rate must divide the simulation's; between periods, another one of this arm and rate may replace it.
         controller, disturbances: as for `follow`.
         rows: number of simulation steps of the whole run; by default it has no end, and old references are forgotten.
 

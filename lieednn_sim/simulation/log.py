@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import control_ranges, tangent_basis
+from lieednn_sim.arm.forces import control_ranges
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import rotations, same_signs
@@ -84,8 +84,7 @@ class Channel:
 class Log:
     """Steps a simulation from its present state, and keeps the instant before each step.
 
-    The forces and link frames that MuJoCo computes in a step belong to the instant at which it begins, and stay in its
-    data until the next one.
+    The forces and link frames that MuJoCo computes in a step, and keeps until the next one, belong to its beginning.
 
     Args:
         simulation: the simulation; nothing else may step it meanwhile.
@@ -161,7 +160,7 @@ class Log:
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force
-        basis, controls = tangent_basis(arm.space), np.clip(log["ctrl"], *control_ranges(model).T)
+        basis, controls = arm.moving(log["qpos"]), np.clip(log["ctrl"], *control_ranges(model).T)
         places, turns = self._frames.poses(log["positions"], log["rotations"])
         q = arm.coordinates(log["qpos"])
         channels, units = self._channels()
@@ -173,8 +172,8 @@ class Log:
             q_ref=as_floats("q_ref", q_ref, ("M", arm.n_joints))[:rows].copy(),
             qd_ref=as_floats("qd_ref", qd_ref, ("M", arm.n_joints))[:rows].copy(),
             ctrl=self._own_controls(controls, log["qpos"], log["qvel"]),
-            force=np.nan_to_num(log["actuators"]) @ basis,
-            constraint_force=np.nan_to_num(log["constraints"]) @ basis,
+            force=np.vecmat(np.nan_to_num(log["actuators"]), basis),
+            constraint_force=np.vecmat(np.nan_to_num(log["constraints"]), basis),
             link_position=places,
             link_quaternion=same_signs(rotations(turns).as_quat(scalar_first=True)),
             contacts=contacts,

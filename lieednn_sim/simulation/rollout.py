@@ -17,7 +17,7 @@ from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.clearance import Clearance, proved_clearance
-from lieednn_sim.planning.monitor import ClearanceMonitor, moved_besides
+from lieednn_sim.planning.monitor import MOVED, ClearanceMonitor, displaced
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -137,12 +137,17 @@ class Rollout:
         return np.asarray(self.q - self.q_ref)
 
     @cached_property
+    def slack(self) -> float:
+        """By how much parts may have come nearer to each other that other joints than the arm's have moved [m]."""
+        return 2.0 * displaced(self.arm, self.q, self.qpos)
+
+    @cached_property
     def tracked(self) -> tuple[Floats, Floats, Floats, Floats] | None:
         """Times, planned joints and rates, and how far the joints were from these, for proofs about the run.
 
         None without a plan, or if anything but the arm and what it carries was moved, which the plan does not know.
         """
-        if self.motion is None or self.disturbances.obstacles or moved_besides(self.arm, self.q, self.qpos):
+        if self.motion is None or self.disturbances.obstacles or not self.slack < MOVED:
             return None
         planned = np.minimum(np.arange(len(self.t)), len(self.motion.t) - 1)
         q = self.motion.q[planned]
@@ -150,16 +155,16 @@ class Rollout:
 
     @cached_property
     def clearance(self) -> Clearance | None:
-        """The proved clearance of the run at every instant: that of its plan, reduced by the tracking errors."""
-        return None if self.tracked is None else proved_clearance(self.arm, *self.tracked, others=True)
+        """The proved clearance of the run at every instant: that of its plan, less what errors and `slack` take."""
+        return self.tracked and proved_clearance(self.arm, *self.tracked, slack=self.slack, others=True)
 
     @cached_property
     def outside(self) -> str:
         """When and by which joint it left the proof of its plan's clearance; empty if it did not, or has no proof."""
-        if self.motion is None or self.clearance is None or self.clearance.proved:
+        if self.motion is None or self.disturbances.obstacles or (self.clearance and self.clearance.proved):
             return ""
         monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
-        lefts = map(monitor.left, range(len(self.t)), self.q) if monitor.clearance.proved else ()
+        lefts = map(monitor.left, range(len(self.t)), self.q, self.qpos) if monitor.clearance.proved else ()
         return next(filter(None, lefts), "")
 
     def step_at(self, time: float) -> str:
@@ -205,8 +210,7 @@ class Rollout:
 
         Args:
             path: path of the file.
-            arm: the simulated arm, in the same scene; a view of the same joints, with mocap bodies in the same places.
-                Its payload may be left out.
+            arm: the simulated arm in its scene, with or without its payload; of a view, its mocap bodies in place.
             motion: the plan that was followed, which the file does not hold.
 
         Raises:

@@ -120,8 +120,7 @@ def simulate(
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
         log: further quantities to log, each a `Channel`; the rollout has them in ``channels``.
-        stop_outside: whether the run ends, by `SimulationError`, when its joints are too far from the motion for the
-            proof of its clearance.
+        stop_outside: whether the run ends, by `SimulationError`, when it leaves the proof of the motion's clearance.
 
     Raises:
         InputError: the motion does not fit the model; two channels have one name; a push begins when the run is over;

@@ -59,8 +59,7 @@ class Verdict:
         conditions: in the order of `CONDITIONS`; "local" only by `locally`.
         certificate: the diagonal Lyapunov matrix behind its condition, valid or not.
         contraction: the norm behind its condition, valid or not.
-        stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
-            largest entry of W.
+        stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| if W_R is known, else |W_ij|.
     """
 
     conditions: tuple[Condition, ...]
@@ -149,8 +148,7 @@ def assess(
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
         gamma, mu: decay rate and scale of the interaction, positive.
         rotational_weight: W_R, ``(3N, 3N)``, on which the last global conditions are then evaluated.
-        lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it saves the
-            search when it is valid.
+        lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`, to save a search.
 
     Raises:
         InputError: shapes disagree, or `rotational_weight` does not belong to `weight`.

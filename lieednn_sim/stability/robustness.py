@@ -198,8 +198,7 @@ class Decay:
     """A proved bound of a network's distance from its equilibrium, a time after it was some distance off.
 
     With e the state minus the equilibrium, a guarantee |T e(t)| <= k exp(-r t) |T e(0)| bounds the first m coordinates
-    by |e_m(t)| <= |T^-1_m| k exp(-r t) |T e(0)|, where T^-1_m are the first m rows. The least bound of all guarantees
-    is taken.
+    by |e_m(t)| <= |T^-1_m| k exp(-r t) |T e(0)|, where T^-1_m are the first m rows. The least of all bounds is taken.
 
     Args:
         bounds: bounds for pushes that reach all n coordinates, see `robustness`.

@@ -37,8 +37,7 @@ class Study(ABC, Generic[R]):
         name: name of the table's file without suffix.
         kind: class of the rows.
         run: the function that computes the rows of a case from its arguments in `todo`. It runs in another process, so
-            it must be defined at the top of a module. If a case fails, its rows carry the reason; an exception counts
-            as a bug.
+            it must be defined at the top of a module. If a case fails, its rows carry the reason; exceptions are bugs.
         failed: the function that makes the rows of a case that raised, from its arguments in `todo` and the reason.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
@@ -130,8 +129,7 @@ def run_each(
     """Run tasks on worker processes, or in this process where one is enough; `LieEDNNError` if a worker died.
 
     ``todo`` holds the arguments of each task. When one ends, in any order, ``done`` is called in this process with its
-    arguments, its result and its exception, and progress is reported (`budget.reporting`). Arguments and results must
-    be picklable.
+    arguments, its result and its exception, and progress is reported (`budget.reporting`). All must be picklable.
     """
     workers = min(workers, len(todo))
     with worker_pool(workers) if workers > 1 else contextlib.nullcontext() as pool:

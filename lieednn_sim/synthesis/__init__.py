@@ -1,8 +1,7 @@
 """Certified synthesis: networks that have a proof of global stability by construction.
 
 `synthesize` makes a network for a target in milliseconds. `shape` makes one that also follows a given curve to its
-end, by hidden neurons. `CurveEncoder` has one network for all curves, and encodes each as the state at which the
-hidden neurons start.
+end, by hidden neurons. `CurveEncoder` has one network for all curves, and encodes each as their start.
 """
 
 from lieednn_sim.registry import BIAS_RULES as BIAS_RULES

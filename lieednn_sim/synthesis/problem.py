@@ -77,8 +77,7 @@ class Problem:
     Inputs and outputs have K columns each, ``(N, 3, K)``; the signs ``(N, N)`` of the blocks' alpha are fixed.
 
     Arguments, unknowns and results may have leading axes, for a stack of independent problems of one size. Products,
-    solves and decompositions are those of each problem by itself, so that its results are the same in every stack, to
-    the last bit.
+    solves and decompositions are those of each problem by itself, so its results in every stack are equal to the bit.
     """
 
     def __init__(self, inputs: Floats, outputs: Floats, signs: Floats) -> None:

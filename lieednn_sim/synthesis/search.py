@@ -93,8 +93,7 @@ class _Linear(NamedTuple):
         """The minimiser of |residual + jacobian step|^2 + damping |step|^2, and half the squared residual there.
 
         In the dual form, since there are fewer rows than unknowns: with (J J^T + damping I) y = r the step is -J^T y,
-        and the residual left is damping y. Problems are solved in turn: NumPy has no stacked Cholesky solve, and LU
-        costs twice as much.
+        and the residual left is damping y. Problems are solved in turn: NumPy's stacked solve, LU, takes twice as long.
         """
         damped = self.gram.copy()
         damped.ravel()[:: len(damped) + 1] += damping
@@ -178,8 +177,7 @@ def polish(
     certificate hardly changes. If the rotations are too small to drive a translation, the quaternions change instead
     and |t| stays small: a quaternion step of the size ``quaternion_weight`` counts as much as a unit translation.
 
-    The unknowns ``(B, 4 N^2 + 3N)`` of the problems meet the rotational equations roughly; ``state`` and ``required``
-    are as for `random_starts`.
+    The unknowns ``(B, 4 N^2 + 3N)`` meet the rotational equations roughly; others are as for `random_starts`.
     """
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))

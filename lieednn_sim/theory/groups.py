@@ -113,8 +113,7 @@ def similarities() -> MatrixLieGroup:
 def general_linear(n: int) -> MatrixLieGroup:
     """Invertible real n x n matrices, coordinates in row-major order; the kernel is the multiples of the identity.
 
-    Elements with det < 0 are included: they act on the algebra like the others, but are not exponentials. n is from 1
-    to 8.
+    Elements with det < 0 are included: they act on the algebra like others, but are not exponentials. n is 1 to 8.
     """
     if (size := as_count("n", n)) > _LARGEST_GENERAL_LINEAR:
         raise InputError(f"n must be at most {_LARGEST_GENERAL_LINEAR} for GL(n), got {n}")
@@ -141,8 +140,7 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
     """The affine group of a real matrix group G <= GL(m, R): maps p -> A p + b with A in G, as (m+1, m+1) matrices.
 
     The basis of G comes first, then the translations: SE(3) = affine(SO(3)) has twists (omega, v). Its adjoint matrix
-    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A itself. `InputError` for a complex G, or more than
-    128 dimensions.
+    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A. `InputError` for complex G, or above 128 dimensions.
     """
     if np.iscomplexobj(linear.basis):
         raise InputError(f"affine needs a real matrix group, got {linear.name}")

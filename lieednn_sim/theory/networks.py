@@ -44,8 +44,7 @@ _SERIES_SLOPE = 2.0 * polynomial.polyder([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2
 class GroupLieEDNN(ComponentwiseNetwork):
     """The paper's network on any matrix Lie group.
 
-    It is X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in the Lie algebra (paper,
-    eq. 3.9).
+    It is X_i' = -gamma X_i + mu sum_j alpha_ij theta_ij phi(X_j) theta_ij^-1 + mu B_i in the Lie algebra (eq. 3.9).
 
     The state ``(..., N, d)`` holds the coordinates of X_i in the basis of the group, and phi acts on each of them: the
     network depends on the basis. theta_ij matters only up to the kernel of Ad: SU(2) gives the networks of SO(3).
@@ -228,8 +227,7 @@ class EquivariantLieEDNN(RigidNetwork):
         The trajectory from Ad(h_i) xi_i(0) of the returned network is Ad(h_i) xi_i(t), and its certificate is the same.
 
         Args:
-            rotation: rotation of h, ``(3, 3)`` for one frame common to all neurons (the paper's case), or
-                ``(N, 3, 3)``.
+            rotation: rotation of h, ``(3, 3)`` for one frame of all neurons (the paper's case), or ``(N, 3, 3)``.
             translation: translation of h, ``(3,)`` or ``(N, 3)``.
         """
         n = self.n_neurons

@@ -35,6 +35,7 @@ EVALUATION = Evaluation(
     peak_contact_force_n=17.5,
     peak_weld_force_n=21.5,
     peak_weld_torque_n_m=22.5,
+    force_fraction=0.75,
     recoveries=(Recovery("link 2", 0.5, 0.75, 8.125, 9.25, 0.375), Recovery("hand", 1.5, 2.0, 4.0, 5.0, None)),
     **{f"{what}_{kind}": 0 for what in ("position", "velocity", "acceleration") for kind in ("violations", "excess")},
 )
@@ -120,7 +121,6 @@ def test_an_evaluation_takes_the_worst_link_the_effector_and_the_hardest_joint()
     joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
     expected = {
         "velocity_fraction": 0.75,
-        "force_fraction": 0.9,
         "settling_s": 1.75,
         "final_effector_mm": 2.0,
         "final_effector_deg": 3.0,

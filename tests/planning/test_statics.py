@@ -34,9 +34,12 @@ LIFT = """
 CAN = '<body name="can" pos="1 0 0"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="{0} {0} {0}"/></body>'
 
 
-def hoist(**changes):
-    values = {"damping": 0.0, "friction": 0.0, "torque": 90.0, "can": "", "pose": "", **changes}
-    return ls.Arm.from_spec(mujoco.MjSpec.from_string(LIFT.format(**values)), Path("hoist.xml"), "hoist")
+def filled(text, **changes):
+    return text.format(**{"damping": 0.0, "friction": 0.0, "torque": 90.0, "can": "", "pose": "", **changes})
+
+
+def hoist(text=LIFT, **changes):
+    return ls.Arm.from_spec(mujoco.MjSpec.from_string(filled(text, **changes)), Path("hoist.xml"), "hoist")
 
 
 def moved(arm, target, duration, **options):
@@ -91,6 +94,119 @@ def test_a_jolt_between_the_samples_that_are_looked_at_first_is_found(at):
     assert duration == pytest.approx(4.0 * np.sqrt(90.0 / (100.0 - 2.0 * G)))
 
 
+@pytest.mark.parametrize(
+    ("friction", "jolts", "at", "load"),
+    [
+        # Between the looks, and weaker than the one downwards before it.
+        (0.0, [(0, 10, -20.0), (1030, 1050, 19.98)], "t = 2.0", 5.0 * (G + 19.98)),
+        # In the first step from rest, which dry friction resists.
+        (20.0, [(0, 1, 8.03), (1000, 1001, -8.03)], "t = 0.00", 5.0 * (G + 8.03) + 20.0),
+    ],
+)
+def test_a_jolt_that_the_first_looks_could_miss_is_found(friction, jolts, at, load):
+    qdd = np.zeros(2001)
+    for first, last, value in jolts:
+        qdd[first:last] = value
+    qd = np.stack([np.append(0.0, 0.002 * np.cumsum(qdd)[:-1]), np.zeros(2001)], axis=1)
+    arm, t = hoist(friction=friction).with_payload(3.0), 0.002 * np.arange(2001)
+    _, reason = check_forces(arm, t, 0.002 * np.cumsum(qd, axis=0), qd)
+    assert f"at {at}" in reason
+    assert f"its load is {load:.4g} N, its force limit 100 N" in reason
+
+
+SHARED = """
+<mujoco><option timestep=".002" integrator="implicitfast" gravity="0 0 0"/>
+  <custom><numeric name="acceleration_limit" data="1000 1000"/></custom>
+  <worldbody><body><joint name="roll" axis="1 0 0" range="-99 99"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body><joint name="pitch" axis="0 1 0" range="-99 99"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <site name="tip" pos="0 0 .3"/></body></body></worldbody>
+  <tendon><fixed name="sum"><joint joint="roll" coef="1"/><joint joint="pitch" coef="1"/></fixed>
+    <fixed name="difference"><joint joint="roll" coef="1"/><joint joint="pitch" coef="-1"/></fixed></tendon>
+  <actuator><motor tendon="sum" ctrlrange="-10 10"/><motor {other} ctrlrange="-10 10"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("other", "pulls"), [('tendon="difference"', [1.0, -1.0]), ('joint="roll"', [1.0, 0.0])])
+def test_actuators_that_move_several_joints_keep_their_own_limits(other, pulls):
+    """The limits of the joints are 20 N m and more, but both at once would need more than 10 N m of an actuator."""
+    model = mujoco.MjModel.from_xml_string(SHARED.format(other=other))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["roll", "pitch"], tip="tip")
+    assert arm.joint_names == ("roll", "pitch")
+    planned = ls.plan(arm, [0.9, -0.9], planner="minimum-jerk", duration=(0.5, 5.0))
+    data, largest, motion = mujoco.MjData(model), 0.0, planned.motion
+    for q, qd, qdd in zip(motion.q, motion.qd, np.diff(motion.qd, axis=0) / motion.timestep, strict=False):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        exerted = np.linalg.solve(np.array([[1.0, 1.0], pulls]).T, data.qfrc_inverse)
+        largest = max(largest, float(np.abs(exerted).max()))
+    assert 9.0 < largest <= 10.0 * (1.0 + 1e-6)
+    result = ls.evaluate(ls.simulate(arm, planned))
+    assert result.final_worst_mm < 0.1
+    assert result.planned_force_fraction == pytest.approx(0.1 * largest)
+    assert result.force_fraction == pytest.approx(0.1 * largest, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("drive", "what"),
+    [
+        ('<motor name="drive" joint="lift" ctrlrange="0 30"/>', "actuator 'drive' cannot hold"),
+        ('<motor name="drive" tendon="rope" ctrlrange="-99 99"/>', "joint 'lift' cannot be held"),
+    ],
+)
+def test_actuators_that_only_push_and_tendons_have_limits(drive, what):
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><body name="cart">
+        <joint name="lift" type="slide" axis="0 0 1" range="-1 1"/><geom size=".1" mass="2"/></body></worldbody>
+        <tendon><fixed name="rope" actuatorfrclimited="true" actuatorfrcrange="-30 30"><joint joint="lift" coef="1"/>
+        </fixed></tendon><actuator>{drive}</actuator></mujoco>""")
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["lift"], limits={"lift": {"acceleration": 99.0}})
+    slow = ls.plan(arm, [0.5], planner="minimum-jerk", duration=(0.2, 2.0)).motion
+    assert 0.9 < force_use(arm, slow.t, slow.q, slow.qd) <= 1.0 + 1e-6
+    with pytest.raises(InputError, match=rf"{what} at the start with a payload of 2 kg: its load is 39.24 N.* 30 N"):
+        ls.plan(arm, [0.5], planner="minimum-jerk", payload=2.0)
+
+
+DAMPED = 'gainprm="100" biastype="affine" biasprm="0 0 -{0}" ctrlrange="-1 1"'
+
+
+@pytest.mark.parametrize("loss", [0.0, 20.0])
+def test_a_motor_that_is_weaker_at_speed_moves_as_one_with_a_damper(loss):
+    """100 N at full control, less 20 N s/m: a limit by the control range alone."""
+    pytest.importorskip("toppra")
+
+    def driven(drive, damping):
+        model = mujoco.MjModel.from_xml_string(f"""<mujoco><option integrator="implicitfast"/><worldbody><body>
+            <joint name="lift" type="slide" axis="0 0 1" range="-1 1" damping="{damping}"/><geom size=".1" mass="2"/>
+            </body></worldbody><actuator><general joint="lift" {drive}/></actuator></mujoco>""")
+        return ls.Arm.of(model, mujoco.MjData(model), ["lift"], limits={"lift": {"acceleration": 99.0}})
+
+    arm = driven(DAMPED.format(loss), 0.0)
+    plans = [
+        ls.plan(each, [0.5], planner="minimum-jerk", fastest=True)
+        for each in (arm, driven('gainprm="100" ctrlrange="-1 1"', loss))
+    ]
+    times = [planned.motion.t[-1] for planned in plans]
+    assert times[0] == pytest.approx(times[1], abs=0.004)
+    assert times[0] > 0.2 + 0.002 * loss
+    run = ls.evaluate(ls.simulate(arm, plans[0]))
+    assert run.tracking_max_mm < 3.0
+    assert 0.9 < run.planned_force_fraction <= 1.0 + 1e-6
+    assert run.force_fraction == pytest.approx(run.planned_force_fraction, abs=0.05)
+    with pytest.raises(InputError, match=r"cannot be held at the start with a payload of 9 kg: its load is 107\.9 N"):
+        ls.plan(arm, [0.5], planner="minimum-jerk", payload=9.0)
+
+
+def test_actuators_of_closed_loops_are_compared_in_a_run_too():
+    """The luff of the crane has no actuator: its cylinder has."""
+    arm = ls.Arm.load("telescopic_crane")
+    planned = ls.plan(arm, ls.draw_target(arm, 1), planner="minimum-jerk", payload=2000.0)
+    result = ls.evaluate(ls.simulate(arm, planned, hold=0.1), clearance=False)
+    assert result.planned_force_fraction > 0.3
+    assert result.force_fraction == pytest.approx(result.planned_force_fraction, rel=0.05)
+    stroke = arm.model.joint("stroke").id
+    arm.model.jnt_actfrclimited[stroke], arm.model.jnt_actfrcrange[stroke] = 1, (-1e3, 1e3)
+    with pytest.raises(InputError, match=r"joint 'stroke' cannot be held at the start: its load is .* limit 1000"):
+        ls.plan(arm, ls.draw_target(arm, 1), planner="minimum-jerk")
+
+
 @pytest.mark.parametrize("down", [False, True])
 @pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.0), (20.0, 0.0), (20.0, 6.0)])
 def test_the_fastest_lift_pulls_and_brakes_with_all_the_force_there_is(damping, friction, down):
@@ -138,10 +254,29 @@ def test_a_mass_that_cannot_be_held_is_refused_with_its_load():
         arm.with_payload(-1.0)
 
 
+def test_a_payload_weighs_what_it_is_said_to(tmp_path):
+    arm = hoist()
+    assert arm.with_payload(3.0).with_payload(1e-9).model.body_mass.sum() == pytest.approx(5.0 + 1e-9, abs=1e-12)
+    changed = LIFT.replace("<option", '<compiler boundmass="0.5"/><option')
+    with pytest.raises(InputError, match="boundmass in the file of 'hoist' would change the payload"):
+        hoist(changed).with_payload(0.1)
+    alone = '<mujoco><worldbody><body name="arm"><joint axis="0 1 0" range="-9 9"/><geom size=".1"/><site name="tip" '
+    model = mujoco.MjModel.from_xml_string(alone + 'pos=".5 0 0"/></body></worldbody></mujoco>')
+    with pytest.raises(InputError, match=r"to 'arm' of a compiled model, .* symmetric"):
+        ls.Arm.of(model, mujoco.MjData(model), [""], tip="tip").with_payload(1.0)
+    # What an imported arm holds stays in its hand.
+    (tmp_path / "can.xml").write_text(filled(LIFT, can=CAN.format(0.01), pose=" 1 0 0 1 0 0 0"))
+    holding = ls.Arm.load(tmp_path / "can.xml", joints=["lift", "swing"], tip="link2_frame").holding("can")
+    planned = moved(holding, [0.2, 1.0], 2.0, payload=2.0)
+    motion = planned.motion
+    uses = [force_use(each, motion.t, motion.q, motion.qd) for each in (holding, planned.arm)]
+    assert planned.arm.grasp is not None
+    assert uses[1] - uses[0] == pytest.approx(2.0 * G / 100.0, abs=0.05)
+
+
 def test_what_is_held_weighs_as_a_payload_of_its_mass():
     can = CAN.format(STEEL * 3.0 ** (5.0 / 3.0))
-    values = {"damping": 0.0, "friction": 0.0, "torque": 90.0, "can": can, "pose": " 1 0 0 1 0 0 0"}
-    model = mujoco.MjModel.from_xml_string(LIFT.format(**values))
+    model = mujoco.MjModel.from_xml_string(filled(LIFT, can=can, pose=" 1 0 0 1 0 0 0"))
     arm = ls.Arm.of(model, mujoco.MjData(model), ["lift", "swing"], tip="link2_frame")
     motion = moved(arm, [0.2, 1.0], 1.0).motion
     uses = [force_use(each, motion.t, motion.q, motion.qd) for each in (arm, arm.with_payload(3.0), arm.holding("can"))]

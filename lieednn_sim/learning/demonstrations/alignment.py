@@ -109,8 +109,7 @@ def align(
 
     Args:
         demonstrations: at least one, all with the same dof.
-        phase: ``"length"``, the fraction of the length, which does not depend on speed and pauses, or ``"time"``, the
-            fraction of the duration.
+        phase: ``"length"``, its fraction, which does not depend on speed and pauses, or ``"time"``, its fraction.
         samples: K.
         lever: metres that a radian counts for in lengths.
         goals: ``"aligned"``, every demonstration is seen from its own goal, or ``"kept"``, all from the mean goal.

@@ -100,8 +100,7 @@ class LearnedMotion:
     def toward(self, goal: Floats) -> Self:
         """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
 
-        If the demonstrations kept their goals, it depends on the goal as they do; otherwise the motion is shifted, see
-        `LieEDNN.retarget`.
+        If the demonstrations kept their goals, it depends on the goal as they do; otherwise it is shifted (`retarget`).
         """
         target = displacement(as_floats("goal", goal, (6,)))
         return replace(self, network=self.network.retarget(target[None]))

@@ -4,8 +4,7 @@ RRT-Connect is Kuffner and LaValle's, ICRA 2000; RRT* Karaman and Frazzoli's, In
 Informed RRT* Gammell, Srinivasa and Barfoot's, IROS 2014, and BIT* theirs, ICRA 2015; AORRTC Wilson, Thomason, Kingston
 and Gammell's, IEEE Robotics and Automation Letters, 2025; the library Sucan, Moll and Kavraki's, IEEE Robotics and
 Automation Magazine 19(4), 2012. Paths are measured in joint coordinates over velocity limits, so a length is a time.
-They are shortened, then smoothed and timed by `smoothing`. RRT-Connect with balanced trees, which OMPL lacks, is in
-`trees`.
+They are shortened, then smoothed and timed by `smoothing`. `trees` has RRT-Connect with balanced trees, unlike OMPL.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-# OMPL's names. PRM* is left out: OMPL's builds its roadmap against the clock and in two threads, so its paths depend on
-# the machine.
+# OMPL's names. PRM* is left out: it builds its roadmap against the clock, in two threads; paths depend on the machine.
 METHODS = {
     "rrt-connect": "RRTConnect",
     "rrt-star": "RRTstar",
@@ -43,16 +41,14 @@ class PathOptions(SmoothingOptions):
     """Options for how paths are searched for, besides those of `SmoothingOptions`.
 
     Attributes:
-        margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
-            checked for less.
+        margin: clearance of paths, reduced where start or target is closer to something [m], and for smoothed motions.
         max_collision_checks: largest number of configurations tested (not seconds, so that results do not depend on the
             machine). While no path is found, the search goes on to the next number; planners that improve their paths
             stop at the first at which they have one.
         shortcuts: number of shortcuts tried on the path.
         longest_edge: longest edge that a tree grows at once, as a fraction of the joint space's diagonal.
         spacings: largest distances that a link frame moves between configurations tested on an edge, about, from 0.001
-            to 1 m. If the dense test of the motion finds a contact in between, the next attempt is made with the next
-            one.
+            to 1 m. If the dense test of the motion finds a contact in between, the next attempt takes the next one.
     """
 
     margin: float = 0.01
@@ -144,8 +140,7 @@ def connecting_path(
     level = util.getLogLevel()
     util.setLogLevel(util.LOG_NONE)
     try:
-        # Seeds all generators made from here on; OMPL warns about existing ones, which are not ours. Zero is not
-        # allowed.
+        # Seeds all generators made from here on; OMPL warns about those of others. Zero is not allowed.
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
         space = SearchSpace(problem, clear, options.spacings[attempt])

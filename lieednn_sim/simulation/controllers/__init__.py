@@ -30,8 +30,7 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
 
     A controller is made from an arm and a reference; a function that returns one is also accepted. Its actions may set
     controls and mocap bodies; if they set the state or forces, the arm moves without its actuators. Worker processes
-    and the command line find controllers that an installed package declares as entry points of the group
-    ``lieednn_sim.controllers``.
+    and the command line find controllers that a package declares as entry points ``lieednn_sim.controllers``.
 
     Args:
         name: lower-case letters, digits and hyphens.

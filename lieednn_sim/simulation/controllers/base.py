@@ -125,8 +125,7 @@ class PositionServo(FeedforwardServo):
     A position actuator exerts kp (ctrl - q) - kv qd, so without the second term it would lag a moving reference by
     kv / kp seconds. The joint damping of the model is compensated in the same way. The velocity is that of the next
     step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
-    for this package, and with a payload, the load of gravity and springs at q_ref is fed forward, too, or the arm would
-    sag.
+    for this package, and with a payload, the load of gravity and springs at q_ref is fed forward, too.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:

@@ -159,10 +159,8 @@ class LoopLinearisation(Controller):
     changes_plant = False
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        assert arm.dependents is not None
-        self._arm, self._reference, self._loops = arm, reference, arm.dependents
+        self._arm, self._reference = arm, reference
         self._actuators = actuators = Actuators(arm)
-        self._unit = tangent_basis(arm.space)[arm.dependents.dofs]
         self._frequency = np.where(actuators.servoed, 0.0, NATURAL_FREQUENCY)
         self._moved = np.zeros(arm.model.nv)
         self._moved[arm.dofs] = 1.0
@@ -180,7 +178,7 @@ class LoopLinearisation(Controller):
         row = reference.row(step)
         last = reference.known - 1
         now, after = min(row, last), min(row + 1, last)
-        basis = self._loops.basis(own.qpos) @ self._unit
+        basis = arm.moving(own.qpos)
         q = arm.coordinates(own.qpos)
         slow = reference.qd[now] - arm.rates(q, own.qvel)
         pull = self._frequency * (2.0 * slow + self._frequency * (reference.q[now] - q))

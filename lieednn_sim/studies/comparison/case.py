@@ -85,8 +85,7 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
 def run_case(case: Case, controllers: Sequence[str], settings: Settings, *, user_files: UserFiles = ()) -> list[Row]:
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
-    Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this thread,
-    with one BLAS thread.
+    Arms and scenes from files are found by their names in ``user_files``. Planning times are CPU times of one thread.
     """
     with one_blas_thread():
         try:

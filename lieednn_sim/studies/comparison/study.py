@@ -67,8 +67,7 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of your own; by default all whose packages
-            are installed.
+        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of your own; by default all installed ones.
         arms: a name of `ARMS`, or several, or files, as for `Arm.load`; by default telescopic_compound, telescopic_pr
             and telescopic_rrp.
         scenes: a name of `SCENES`, or several, or files of obstacles; by default free,window.
@@ -76,8 +75,7 @@ class Comparison(Study[Row]):
         seeds: number of seeds for each arm, scene and planner.
         first_seed: the first seed; change it for fresh problems.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
-        slow_seeds: number of seeds for planners whose cases take more than a second, at most ``seeds``; by default as
-            many.
+        slow_seeds: number of seeds for planners whose cases take more than a second, by default and most ``seeds``.
         common: settings of all rows.
         shard: the shard of the cases that is computed; None for all.
 

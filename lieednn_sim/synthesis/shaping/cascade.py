@@ -215,8 +215,7 @@ def with_pairs(
         start: ``(N, 6)`` visible start of its motion, which stays as it is.
         response: ``(K, 6N, E)`` derivatives of the visible states at the clock's instants in the visible start, E = 6N,
             or in that and in the target, E = 12N.
-        inputs: ``(n, E)`` deviations of the start (and of the target) for which codes must be small, so that bumps are
-            linear in them.
+        inputs: ``(n, E)`` deviations of start (and target) for which codes must be small, so that bumps are linear.
         others: further codes D delta ``(..., N, M, 6)`` that must be small.
     """
     n = len(parameters.alpha)

@@ -70,12 +70,10 @@ class CurveEncoder:
 
         Args:
             curve: samples ``(K, N, 6)`` from start to target; only their places matter, not their times.
-            units: metres that one unit of each coordinate counts for in the curve's length, of a shape that broadcasts
-                to ``(N, 6)``.
+            units: metres that a unit of each coordinate counts for in the curve's length; broadcasts to ``(N, 6)``.
 
         Raises:
-            InputError: a shape does not fit, or the curve's code exceeds `LARGEST_CODE`, beyond which bumps are not
-                linear in the code.
+            InputError: a shape does not fit, or the code exceeds `LARGEST_CODE`, beyond which bumps are not linear.
         """
         return self.with_code(self.code(curve, units), np.asarray(curve)[-1])
 
