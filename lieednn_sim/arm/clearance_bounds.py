@@ -46,9 +46,14 @@ class ClearanceBounds:
 
     def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0, own: bool = True) -> None:
         model, n = arm.model, arm.n_joints
-        self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
+        self._arm, self._collisions = arm, Collisions(arm)
         self.names = self._collisions.names
         _check_provable(arm, self._collisions.pairs)
+        # In collisions, MuJoCo takes as the distance of two boxes the largest one along normals of their Minkowski sum,
+        # at least 1 / sqrt(3) of it: three normals, at most at right angles, are around the nearest point's direction.
+        boxes = (model.geom_type[self._collisions.pairs] == int(mujoco.mjtGeom.mjGEOM_BOX)).all(axis=1)
+        offsets = np.maximum(self._collisions.offsets(self._collisions.pairs), 0.0)
+        self._margins = margin + (np.sqrt(3.0) - 1.0) * boxes * offsets
         self._data = mujoco.MjData(model)
         self._members = np.zeros((len(groups), n))
         for row, (indices, weights) in zip(self._members, groups, strict=True):
@@ -138,12 +143,12 @@ class ClearanceBounds:
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = ((reach * widest[:, None]) @ self._still).reshape(len(q), -1)
         moved = table.take(self._places[0], axis=1) + table.take(self._places[1], axis=1)
-        near = np.where(self._counted, moved + (cutoff + self._margin), -np.inf)
+        near = np.where(self._counted, moved + (cutoff + self._margins), -np.inf)
         at, index, gaps, points = self._collisions.separations(place.geoms, place.turns, near)
         if not len(at):
             return at, self._collisions.pairs[:0], np.empty((2, 0, 1)), np.empty((2, 0)), np.empty((0, 1)), gaps
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
-        margin = self._margin + self._collisions.offsets(pairs)
+        margin = self._margins[index] + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
         ways = np.ascontiguousarray(self._arm.unit_rates(q))[at], path[at], rest[at], spread[at]

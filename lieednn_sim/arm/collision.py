@@ -75,7 +75,10 @@ class Collisions:
         self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
         model = arm.geometry
-        self.fields = (model.geom_type[self.pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
+        kinds, capsule = model.geom_type[self.pairs], int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+        self.fields = (kinds == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
+        self._rods = (np.sort(kinds, axis=1) == [capsule, int(mujoco.mjtGeom.mjGEOM_BOX)]).all(axis=1)
+        self._rod_first = np.where(kinds[:, :1] == capsule, self.pairs, self.pairs[:, ::-1])
         used = np.flatnonzero(np.bincount(self.pairs.ravel(), minlength=model.ngeom))
         self._used, (self._first, self._second) = used, np.searchsorted(used, self.pairs.T)
         self._center, self._half = np.hsplit(model.geom_aabb[used], 2)
@@ -201,8 +204,20 @@ class Collisions:
                 limit, least = least, mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, least, nearer)
                 segment[:] = nearer if least < limit else segment
             distance[row] = least
+        self._pierce(places, turns, at, index, distance)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
+
+    def _pierce(self, places: Floats, turns: Floats, at: Ints, index: Ints, distance: Floats) -> None:
+        """Make distances of boxes from capsules with their axes inside negative; MuJoCo takes some of them as apart."""
+        rows = np.flatnonzero(self._rods[index] & (distance > 0.0))
+        k, (rod, box), size = at[rows], self._rod_first[index[rows]].T, self.arm.geometry.geom_size
+        turn = turns[k, box]
+        way, off = np.vecmat(turns[k, rod, :, 2], turn), np.vecmat(places[k, rod] - places[k, box], turn)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, last = np.sort([(-size[box] - off) / way, (size[box] - off) / way], axis=0)
+        inside = np.maximum(first.max(axis=1), -size[rod, 1]) <= np.minimum(last.min(axis=1), size[rod, 1])
+        distance[rows[inside]] = -size[rod[inside], 0]
 
     def clearance(self, q: ArrayLike) -> float:
         """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""

@@ -119,12 +119,25 @@ MISTAKEN = """
 </worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize(("name", "apart"), [("rod", -0.8), ("egg", 0.0358)])
+@pytest.mark.parametrize(("name", "apart"), [("rod", -0.18), ("egg", 0.0358)])
 def test_a_distance_that_mujoco_finds_too_large_proves_no_more_than_is_so(name, apart):
     model = mujoco.MjModel.from_xml_string(MISTAKEN)
     arm = Arm.of(model, mujoco.MjData(model), [name])
     bounds = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))])
-    assert bounds.least(*np.zeros((3, 1, 1)), 0.2)[0] <= apart
+    for cutoff in (0.2, max(apart, 0.001)):
+        assert bounds.least(*np.zeros((3, 1, 1)), cutoff)[0] <= apart
+
+
+def test_boxes_are_in_contact_where_mujoco_lets_them_push_each_other():
+    """They are 222 mm apart; MuJoCo takes the largest distance along one of their normals, 189 mm, in the margin."""
+    one = '<geom type="box" size=".1 .1 .1" margin=".1"/>'
+    other = f'<body pos=".32 .26 .34" euler="40 59 85"><joint type="slide" range="-1 1"/>{one}</body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{one}{other}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.nefc > 0
+    bounds = ClearanceBounds(Arm.of(model, data, [model.joint(0).name]), [(np.zeros(1, int), np.ones(1))])
+    assert bounds.least(*np.zeros((3, 1, 1)), 0.1)[0] <= 0.0
 
 
 def test_a_floor_does_not_end():
