@@ -89,8 +89,7 @@ class SwingModel:
         dynamics. The error left is of second order in the second correction, its estimate.
 
         Returns:
-            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest last correction up to then
-            ``(K, m)`` [rad, m].
+            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and largest last corrections ``(K, m)``.
         """
         end = float(law.x[-1])
         t = np.linspace(0.0, end + after, 2 + int((end + after) / step))

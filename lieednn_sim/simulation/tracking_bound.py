@@ -48,8 +48,8 @@ def tracking_bound(
     masses and inertias that move, both unknown to controller and gravity compensation (`Disturbances`).
     `planning.tube.find_tube` takes it as ``tracking``.
 
-    It assumes exact measurements, no pushes, no friction that the controller does not know, and no other joints that
-    move. It is not for ``feedback-linearisation``, which has the feedback of servos, or further errors in each step.
+    It assumes exact measurements, no pushes, that the controller knows all dampers, and that no other joints move. It
+    is not for ``feedback-linearisation``, which has the feedback of servos, or further errors in each step.
     Inertias and forces are evaluated at 100 instants and peaks of acceleration, with joints and rates off by the bound,
     with random signs, for three scales and three payloads: the bound is not proved for what lies between these.
 
@@ -61,15 +61,16 @@ def tracking_bound(
         frequency: natural frequency of the critically damped feedback [rad/s].
 
     Raises:
-        InputError: a value is malformed, the arm has ball joints or closed loops, or steps exceed 0.5 / frequency.
+        InputError: a value is malformed, the arm has what there is no bound for, or time steps exceed 0.5 / frequency.
         NotCertifiedError: it is not proved that the feedback holds the joints, or does so within force limits.
     """
     low, high = as_floats("mass_scale", mass_scale, (2,)).tolist()
     if not 0.0 < low <= high:
         raise InputError(f"mass_scale must be two positive numbers, the smaller first, got {low:g} and {high:g}")
     arm, rate, followed = as_loaded(arm, motion), as_positive("frequency", frequency), as_motion(arm, motion)
-    if arm.dependents is not None or len(arm.space.balls):
-        raise InputError(f"arm {arm.name!r} has ball joints or moves closed loops, for which there is no bound")
+    dry = arm.model.dof_frictionloss[arm.dofs].any() or arm.model.tendon_frictionloss.any()
+    if arm.dependents is not None or len(arm.space.balls) or dry:
+        raise InputError(f"arm {arm.name!r} has ball joints, closed loops or dry friction, for which there is no bound")
     if rate * arm.timestep > 0.5 + 1e-9:
         enough = f"a feedback of {rate:g} rad/s needs time steps of at most {0.5 / rate:.3g} s"
         raise InputError(f"{enough}, the model's are {arm.timestep:g} s")
@@ -81,6 +82,8 @@ def tracking_bound(
         plant = make_plant(bare, Disturbances(mass_scale=scale, payload=load))
         mismatch, largest = _Mismatch(bare, plant, followed), np.zeros(arm.n_joints)
         for _ in range(20):
+            if largest.max() > 10.0 * rate**2:
+                continue  # there is no bound
             share, forced, use = mismatch(largest / rate**2, of_rate * largest, of_feedback * largest)
             gain = np.abs(np.linalg.eigvals(of_feedback * share)).max()
             if gain >= 1.0:

@@ -86,6 +86,9 @@ def test_what_is_refused(arm, rising):
         tracking_bound(rising, motion, mass_scale=(1.1, 0.9))
     with pytest.raises(InputError, match="payload"):
         tracking_bound(rising, motion, payload=-1.0)
+    sticky = _SLIDE.format(axis="0 0 1").replace('range="-1 1"', 'range="-1 1" frictionloss="1"')
+    with pytest.raises(InputError, match="dry friction"):
+        tracking_bound(Arm.from_spec(mujoco.MjSpec.from_string(sticky)), motion)
     balls = Arm.load("telescopic_compound")
     still = plan(balls, balls.keyframe("home"), planner="minimum-jerk")
     with pytest.raises(InputError, match="ball joints"):

@@ -43,8 +43,7 @@ class ProblemSets:
 
     It also holds a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are those
     of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
-    disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
-    decides (`Arm.from_xml`).
+    disables are ignored, and so are those with neighbours and bodies welded to these; else the import decides.
 
     `FileError` if one of the files is missing or cannot be read.
     """
