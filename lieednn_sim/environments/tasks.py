@@ -96,9 +96,8 @@ class Track(ArmTask):
     half a centimetre, since no servo tracks exactly. The reward is the closeness, 1 exactly at success.
 
     Args:
-        arm: as in `ArmTask`.
         preview: number P of previewed target positions.
-        options: further options of `ArmTask`.
+        arm, options: as in `ArmTask`.
     """
 
     position_tolerance, rotation_tolerance = 5e-3, float(np.deg2rad(0.5))
