@@ -61,9 +61,8 @@ class Reach(ArmTask):
     """Task: come to rest at a random target that the arm can reach, drawn for each episode by `draw_target`.
 
     Success: the goal frames are within the tolerances, and no joint moves faster than `REST` of its limit. The reward
-    is the closeness of distance, angle and rest; it is 1 exactly at success.
-
-    To choose the target of an episode, begin it with the option ``target``, a joint position ``(n,)``.
+    is the closeness of distance, angle and rest; it is 1 exactly at success. To choose the target of an episode, begin
+    it with the option ``target``, a joint position ``(n,)``.
     """
 
     @cached_property

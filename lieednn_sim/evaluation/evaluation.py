@@ -109,8 +109,7 @@ class Evaluation:
         reference_rate: rate of the samples of the motion that the controller saw [Hz], None for every step.
         disturbances: disturbances unknown to the controller.
         hold: time of the rollout after the motion [s].
-        duration_s: duration of the rollout.
-        motion_s: time at which the reference comes to rest.
+        duration_s, motion_s: duration of the rollout, and time at which the reference comes to rest.
         plan: metrics of the motion that was followed; None without one.
         frames: errors of each link frame, the last one being the end effector.
         joints: peak velocity and forces of each joint.

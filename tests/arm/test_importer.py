@@ -530,6 +530,8 @@ def test_limits_that_may_be_degrees_are_told(tmp_path, two_hinges):
     assert "a may turn by 3.14 degrees: are its limits in radians, the file in degrees?" in narrow
     backwards = arm_of(two_hinges.replace('range="-90 90"', 'range="90 -90"', 1), floor="none")[1].notes
     assert "a: had no range and got [-6.283, 6.283] rad" in backwards
+    slide = two_hinges.replace('<joint name="a" range="-90 90"', '<joint name="a" type="slide" range="0 200"')
+    assert "a may move by 200 m: are its limits in millimetres?" in arm_of(slide, floor="none")[1].notes
     quarter = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>' + (
         '<child link="b"/><origin rpy="0 {} 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint></robot>'
     )
