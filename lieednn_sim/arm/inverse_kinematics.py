@@ -234,8 +234,10 @@ class _Search:
         excess = self._arm.limit_excess(q)
         if excess.max() > 0.0:
             return f"; at the solutions found {self._arm.describe_excess(q, int(excess.argmax()))}"
-        contacts = self._arm.near_contacts(q)
-        return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
+        near = self._arm.near_contacts(q)
+        contacts = near and self._arm.contacts(q)
+        how = " touches " if contacts else f" is nearer than the clearance of {1e3 * self._arm.clearance:g} mm to "
+        return f"; at the solutions found {how.join(map(repr, (contacts or near)[0]))}" if near else ""
 
     def _nearest(self, closest: Floats) -> Floats:
         """The coordinates ``(n,)`` of least error, without ball joints; `_descend` gives up where no solution is."""

@@ -114,10 +114,9 @@ def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats, *
     if kind == BALL:
         widest = given[1] if model.jnt_limited[joint] else _DEFAULT
         span = np.array([0.0, min(widest, _WIDEST)])
-    elif alone and model.jnt_limited[joint]:
-        return given
     elif alone:
-        return around[model.jnt_qposadr[joint]] + 2.0 * np.pi * np.array([-1.0, 1.0])
+        turns = around[model.jnt_qposadr[joint]] + 2.0 * np.pi * np.array([-1.0, 1.0])
+        span = given if model.jnt_limited[joint] else turns
     else:
         reference = float(model.qpos0[model.jnt_qposadr[joint]])
         most = _WIDEST if model.jnt_limited[joint] else _DEFAULT

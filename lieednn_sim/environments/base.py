@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import required_forces
 from lieednn_sim.environments import observations
 from lieednn_sim.environments.observations import Bounds, LinkFrames, Observation, Observations, State, Target
 from lieednn_sim.errors import InputError, SimulationError
@@ -23,10 +24,12 @@ from lieednn_sim.values import Floats, StrPath
 class Commands:
     """Turns actions into commanded positions, and these into controls of position servos, as `ArmTask` describes.
 
-    `InputError` if the arm is not driven by position actuators on joints or fixed tendons.
+    `InputError` if the arm is not driven by position actuators on joints or fixed tendons, or moves closed loops.
     """
 
     def __init__(self, arm: Arm, substeps: int) -> None:
+        if arm.dependents is not None:
+            raise InputError(f"arm {arm.name!r} moves closed loops, through which servos do not follow commands")
         self._arm, self._actuators = arm, Actuators(arm)
         self._actuators.require_servos()
         self._damping = arm.model.dof_damping.copy()
@@ -37,6 +40,7 @@ class Commands:
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
         self._alone = None if len(arm.space.balls) else self._coefficients()
+        self._loaded = None if arm.qpos_home is None and arm.payload == 0.0 else arm.model  # else it is weightless
 
     def moved(self, command: Floats, action: Floats) -> Floats:
         """Commanded positions ``(..., n)`` after actions ``(..., n)``, from the commanded positions before."""
@@ -52,11 +56,17 @@ class Commands:
 
     def controls(self, start: Floats, end: Floats) -> Floats:
         """Controls ``(..., substeps, nu)`` that move the servos from commanded positions ``(..., n)`` to others."""
+        load: Floats | float = 0.0
+        if self._loaded is not None:
+            qpos = self._arm.qpos(np.stack([start, end]))
+            forces = required_forces(self._loaded, qpos.reshape(-1, qpos.shape[-1])).reshape(*qpos.shape[:-1], -1)
+            held = np.matvec(self._actuators.allocation, forces)[..., None, :] / self._actuators.gain
+            load = self._before[:-1] * held[0] + self._after[:-1] * held[1]
         if self._alone is None:
-            return self._any_controls(start, end)
+            return self._any_controls(start, end) + load
         columns, of_start, of_end, constant = self._alone
         start, end = start.take(columns, axis=-1)[..., None, :], end.take(columns, axis=-1)[..., None, :]
-        return of_start * start + of_end * end + constant
+        return of_start * start + of_end * end + (constant + load)
 
     def _coefficients(self) -> tuple[NDArray[np.int_], Floats, Floats, Floats] | None:
         """`_any_controls` as coefficients, three times as fast; None if an actuator moves several joints."""
@@ -90,8 +100,8 @@ class ArmTask(ABC):
 
     An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, for
     which a learner needs precise actions, have a wide range of actions. During one control step the commanded position
-    moves at this constant velocity, within the position limits; the arm's position servos follow it, with velocity
-    feedforward, at every physics step. Actions outside this range are clipped.
+    moves at this constant velocity, within the position limits; the arm's position servos follow it, with feedforward
+    of velocity and weight, at every physics step. Actions outside this range are clipped.
 
     Observations, which are clipped to finite bounds:
 
@@ -102,7 +112,7 @@ class ArmTask(ABC):
     - ``pose_error`` ``(F, 6)``: for each goal frame, Log(T^-1 T_target) as a twist (omega, v) [rad, m].
 
     Args:
-        arm: name of an arm of the package, or an arm.
+        arm: an arm, the name of one of the package, or a model file.
         scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
         control_timestep: time between actions [s], a whole number of physics steps.
@@ -113,14 +123,12 @@ class ArmTask(ABC):
 
     Attributes:
         arm, simulation: the arm, and its simulation.
-        substeps: number of physics steps in a control step.
-        control_timestep: time between actions [s].
-        steps: number of control steps in an episode.
+        substeps, control_timestep: number of physics steps in a control step, and its duration [s].
+        steps, episode: number of control steps in an episode, and of episodes begun.
         commands: computes commanded positions and controls from actions.
         frames: slice of the goal frames among the link frames.
         bounds: lower and upper bounds of the observations, by name.
         observations: computes rows of observations.
-        episode: number of episodes begun.
 
     Raises:
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
@@ -140,25 +148,22 @@ class ArmTask(ABC):
         position_tolerance: float | None = None,
         rotation_tolerance: float | None = None,
     ) -> None:
-        if isinstance(arm, Arm):
-            self.arm = arm.with_scene(scene, scene_seed)
-        else:
-            self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
+        seed = as_seed("scene_seed", scene_seed)
+        self.arm = arm.with_scene(scene, seed) if isinstance(arm, Arm) else Arm.load(arm, scene, seed)
         if not np.isfinite([*self.arm.position_limits.T, self.arm.velocity_limits]).all():
-            why = "finite limits, which scale the actions: give Arm.load(..., limits={'JOINT': {'velocity': 2.0}})"
-            raise InputError(f"arm {self.arm.name!r} needs {why}")
+            why = "finite limits, which scale the actions: give arm=Arm.load(..., limits={'JOINT': {'velocity': 2.0}})"
+            raise InputError(f"arm {self.arm.name!r} needs {why}, or limits in a YAML file that describes it")
         timestep = self.arm.timestep
         ratio = as_positive("control_timestep", control_timestep) / timestep
         self.substeps = round(ratio)
         if ratio < 0.5 or abs(ratio - self.substeps) > 1e-6 * ratio:
             what = f"control_timestep must be a whole number of simulation steps of {timestep:g} s"
             raise InputError(f"{what}, got {control_timestep:g} s = {ratio:.6g} steps")
-        self.control_timestep = self.substeps * timestep
+        self.control_timestep = dt = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
         # Moving targets are drawn for the whole time, which takes memory.
-        if not self.control_timestep <= time_limit <= 1000.0:
-            least = f"one control step of {self.control_timestep:g} s"
-            raise InputError(f"time_limit must be between {least} and 1000 s, got {time_limit:g} s")
+        if not dt <= time_limit <= 1000.0:
+            raise InputError(f"time_limit must be between one control step of {dt:g} s and 1000 s, got {time_limit:g}")
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
         self.goal = as_choice("goal", goal, ("end-effector", "links"))
         for name, value in {"position_tolerance": position_tolerance, "rotation_tolerance": rotation_tolerance}.items():
@@ -272,8 +277,7 @@ class ArmTask(ABC):
         command = self.commands.moved(before.command, as_floats("action", action, (self.arm.n_joints,)))
         failure = self.simulate(self.commands.controls(before.command, command))
         if failure:
-            nothing = np.zeros(())
-            state = self._state = before._replace(reward=nothing, success=nothing > 0.0, failure=failure)
+            state = self._state = before._replace(reward=np.zeros(()), success=np.zeros((), bool), failure=failure)
         else:
             state = self._look(before.steps + 1, command)
         truncated = not failure and self.over

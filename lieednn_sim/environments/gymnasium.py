@@ -67,13 +67,11 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     Args:
         task: a name of `tasks.TASKS`.
-        arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         render_mode: ``"rgb_array"`` or None.
         size: (width, height) of rendered frames, both even, at most 3840x2160.
         preset: rendering quality, a name of `rendering.video.PRESETS`.
         flat: whether observations are one vector, `gymnasium.spaces.flatten` of the dictionary.
-        options: further options of the task, see `ArmTask`, `Reach` and `Track`.
+        arm, scene, options: see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
         task: the task.

@@ -33,10 +33,9 @@ def load(
     """Make an environment of a task in the style of the dm_control suite.
 
     Args:
-        arm: name of an arm, or an arm.
         task: a name of `TASKS`.
         random: seed or generator of all random draws; None for a fresh generator.
-        options: options of the task, see `ArmTask`, `Reach` and `Track`.
+        arm, options: those of the task, see `ArmTask`, `Reach` and `Track`.
     """
     return ControlEnvironment(make_task(task, arm, **options), random=random)
 

@@ -61,9 +61,8 @@ class Reach(ArmTask):
     """Task: come to rest at a random target that the arm can reach, drawn for each episode by `draw_target`.
 
     Success: the goal frames are within the tolerances, and no joint moves faster than `REST` of its limit. The reward
-    is the closeness of distance, angle and rest; it is 1 exactly at success.
-
-    To choose the target of an episode, begin it with the option ``target``, a joint position ``(n,)``.
+    is the closeness of distance, angle and rest; it is 1 exactly at success. To choose the target of an episode, begin
+    it with the option ``target``, a joint position ``(n,)``.
     """
 
     @cached_property
@@ -96,9 +95,8 @@ class Track(ArmTask):
     half a centimetre, since no servo tracks exactly. The reward is the closeness, 1 exactly at success.
 
     Args:
-        arm: as in `ArmTask`.
         preview: number P of previewed target positions.
-        options: further options of `ArmTask`.
+        arm, options: as in `ArmTask`.
     """
 
     position_tolerance, rotation_tolerance = 5e-3, float(np.deg2rad(0.5))

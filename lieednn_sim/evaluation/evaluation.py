@@ -105,14 +105,11 @@ class Evaluation:
     columns of a comparison, and are explained in `studies.Row`.
 
     Attributes:
-        arm: name of the simulated arm.
-        scene: name of the scene around it.
-        controller: name of the controller.
+        arm, scene, controller: their names.
         reference_rate: rate of the samples of the motion that the controller saw [Hz], None for every step.
         disturbances: disturbances unknown to the controller.
         hold: time of the rollout after the motion [s].
-        duration_s: duration of the rollout.
-        motion_s: time at which the reference comes to rest.
+        duration_s, motion_s: duration of the rollout, and time at which the reference comes to rest.
         plan: metrics of the motion that was followed; None without one.
         frames: errors of each link frame, the last one being the end effector.
         joints: peak velocity and forces of each joint.
@@ -122,8 +119,7 @@ class Evaluation:
         proved: whether it is proved that nothing touched at any instant, since the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
-        peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
-        peak_weld_torque_n_m: largest torque between them.
+        peak_weld_force_n, peak_weld_torque_n_m: largest between a link and its mocap body; zero without mocap bodies.
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
@@ -255,8 +251,8 @@ class Evaluation:
         return lines + [f"- {cause}" for cause in self.causes]
 
     def save_json(self, path: StrPath) -> None:
-        """Write all metrics and conditions as JSON; unlimited joints have limit null."""
-        value = {**asdict(self), "versions": versions()}
+        """Write all metrics, conditions and why it failed (`shortfall`) as JSON; unlimited joints have limit null."""
+        value = {"success": not self.shortfall, "reason": self.shortfall, **asdict(self), "versions": versions()}
         for joint in value["joints"]:
             for name in ("velocity_limit", "force_limit"):
                 joint[name] = joint[name] if np.isfinite(joint[name]) else None

@@ -139,13 +139,9 @@ def record(
 
     An episode of ``LieEDNN/TelescopicReach-v0`` is kept if a motion was planned and the arm rests at its target at the
     end. It is that of ``reset(seed=seed)`` with the seed that the table of episodes holds, beside the target and, as
-    ``certificate``, the proof of stability of the network that planned it. The features are
-
-    - ``observation.state``: positions, velocities and commanded positions of the joints,
-    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and
-      as the twist ``pose_error``, see `ArmTask`,
-    - ``action``: signed square roots of joint velocities as fractions of their limits,
-    - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
+    ``certificate``, the proof of stability of the network that planned it. Of the observations of `ArmTask`,
+    ``observation.state`` has positions, velocities and commanded positions of the joints, and
+    ``observation.environment_state`` what is left to the target: ``position_error``, ``approach`` and ``pose_error``.
 
     Args:
         directory: directory of the data set; it is created if it is missing.
@@ -178,13 +174,10 @@ def record(
                     break
         else:
             raise NoSolutionError(f"only {len(result)} of {_ATTEMPTS * count} episodes succeeded, {count} are wanted")
-        joints = task.arm.joint_names
+        joints, twist = task.arm.joint_names, [f"pose_error {part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")]
         names = {
             "observation.state": dataset.state_names(joints, "position", "velocity", "command"),
-            "observation.environment_state": [
-                *dataset.state_names(joints, "error", "approach"),
-                *(f"pose_error {part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")),
-            ],
+            "observation.environment_state": [*dataset.state_names(joints, "error", "approach"), *twist],
             "action": list(joints),
         }
         about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}

@@ -47,7 +47,7 @@ class SequencePart:
     def __str__(self) -> str:
         if self.plan is None:
             return "controls"
-        return f"{self.plan.planner}: {self.plan.certificate}"
+        return f"{self.plan.planner}: {self.plan.certificate}; {self.plan.clearance.at()}"
 
 
 @frozen
@@ -73,7 +73,7 @@ class PlanSequence:
         return f"<PlanSequence: {len(self.parts)} steps in {self.t[-1]:g} s, {self.arm.n_joints} joints>"
 
     def __str__(self) -> str:
-        """Return one line for each step: its times, its name, and its proof."""
+        """Return one line for each step: its times, its name, its proof, and its clearance."""
         width = max(len(part.step.name) for part in self.parts)
         return "\n".join(
             f"{self.t[part.first]:6.2f} to {self.t[part.last]:6.2f} s  {part.step.name:{width}}  {part}"

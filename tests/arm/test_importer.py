@@ -1,6 +1,8 @@
 """Foreign models made into arms: kinematics against the original, couplings, cuts, servos, and the error messages."""
 
 import functools
+import os
+import shutil
 
 import numpy as np
 import pytest
@@ -382,6 +384,10 @@ def test_missing_and_broken_files_are_named(tmp_path):
     broken.write_text(f"<mujoco>{mesh}{body}</mujoco>")
     with pytest.raises(FileError, match=r"files of the model are missing: .*meshes/tube\.obj, .*meshes/fork\.obj"):
         Arm.load(broken)
+    other = tmp_path / os.fsdecode(b"caf\xe9.xml")
+    shutil.copy(broken, other)
+    with pytest.raises(FileError, match=r"bytes in its path that are not UTF-8: '.*caf\\udce9\.xml'"):
+        Arm.load(other)
     with pytest.raises(InputError, match="spec must be a MjSpec of mujoco, got 3"):
         Arm.from_spec(3)
 
@@ -520,6 +526,12 @@ def test_limits_that_may_be_degrees_are_told(tmp_path, two_hinges):
     notes = arm_of(wide, floor="none")[1].notes
     assert "a may turn 28.6 times about: are its limits in degrees?" in notes
     assert not any("degrees?" in note for note in arm_of(two_hinges, floor="none")[1].notes)
+    narrow = arm_of(two_hinges.replace('range="-90 90"', 'range="-1.57 1.57"', 1), floor="none")[1].notes
+    assert "a may turn by 3.14 degrees: are its limits in radians, the file in degrees?" in narrow
+    backwards = arm_of(two_hinges.replace('range="-90 90"', 'range="90 -90"', 1), floor="none")[1].notes
+    assert "a: had no range and got [-6.283, 6.283] rad" in backwards
+    slide = two_hinges.replace('<joint name="a" range="-90 90"', '<joint name="a" type="slide" range="0 200"')
+    assert "a may move by 200 m: are its limits in millimetres?" in arm_of(slide, floor="none")[1].notes
     quarter = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>' + (
         '<child link="b"/><origin rpy="0 {} 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint></robot>'
     )
@@ -527,3 +539,12 @@ def test_limits_that_may_be_degrees_are_told(tmp_path, two_hinges):
         (tmp_path / "r.urdf").write_text(quarter.format(angle))
         said = Arm.load(tmp_path / "r.urdf").import_report.notes
         assert (f"an origin of the URDF has rpy='0 {angle} 0': are its angles in degrees?" in said) == told
+
+
+def test_a_joint_that_lacks_an_actuator_is_said_to_be_left_out(two_hinges):
+    servo = '<actuator><position joint="a" kp="100" kv="10"/></actuator></mujoco>'
+    xml = two_hinges.replace("</mujoco>", servo)
+    arm, report = arm_of(xml, floor="none")
+    assert arm.joint_names == ("a",)
+    assert "without an actuator, and so no part of the arm: b; name the joints to move it" in report.notes
+    assert not any("no part" in note for note in arm_of(xml, floor="none", joints=["a", "b"])[1].notes)

@@ -99,6 +99,8 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
     assert (speed[grip.last - quiet + 1 : grip.last + 1] < 2e-3).all()
     assert speed[grip.last - quiet] >= 2e-3
     assert "carry         lieednn-shaped: globally stable for every bias" in str(found)
+    clear = f"; at least {1e3 * carry.plan.clearance.bound:.3g} mm clear, proved"
+    assert str(found).splitlines()[found.parts.index(carry)].endswith(clear)
 
 
 def test_the_same_seed_gives_the_same_sequence(planned):

@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import plan
-from lieednn_sim.simulation import CONTROLLERS, Controller, Rollout, register_controller, simulate
+from lieednn_sim.simulation import CONTROLLERS, Controller, Disturbances, Rollout, register_controller, simulate
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.controllers.mocap import MocapWelds
 from lieednn_sim.studies import Comparison
@@ -49,6 +49,20 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(tmp_path,
     rows = {row.controller: row for row in Comparison.read(tmp_path / "out").rows.values()}
     assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
     assert "plain-servo" in (tmp_path / "out" / "comparison.html").read_text()
+
+
+def test_the_examples_measure_with_noise_and_late():
+    names = {"__name__": "__main__"}
+    for block in re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL):
+        exec(block, names)
+    noise = Disturbances(position_noise=1e-3)
+    for controller in ("plain-servo", "delayed"):
+        noisy, exact = (simulate(ARM, MOTION, controller=controller, disturbances=d) for d in (noise, Disturbances()))
+        assert np.abs(noisy.q - exact.q).max() > 1e-4, controller
+    prompt = simulate(ARM, MOTION, controller="computed-torque")
+    assert np.abs(exact.tracking_error).max() > 10.0 * np.abs(prompt.tracking_error).max()
+    names["Delayed"].steps = 0
+    np.testing.assert_array_equal(simulate(ARM, MOTION, controller="delayed").q, prompt.q)
 
 
 @pytest.mark.parametrize("kind", [PositionServo, MocapWelds])

@@ -67,6 +67,8 @@ def read_model(source: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(source))
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
+    except TypeError:
+        raise FileError(f"MuJoCo reads no file with bytes in its path that are not UTF-8: {str(source)!r}") from None
 
 
 def macros_left(path: Path) -> InputError:

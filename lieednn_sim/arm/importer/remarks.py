@@ -42,6 +42,10 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
     for joint, (name, span, endless) in enumerate(turns):
         if arm.unit(joint) == "rad" and span > 4.0 * 2.0 * np.pi and not endless:
             yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
+        elif arm.unit(joint) == "rad" and span < np.deg2rad(2.0 * np.pi):  # a full turn in radians, read as degrees
+            yield f"{name} may turn by {np.rad2deg(span):.3g} degrees: are its limits in radians, the file in degrees?"
+        elif arm.unit(joint) == "m" and span > 10.0 * max(arm.model.stat.extent, 5.0):
+            yield f"{name} may move by {span:.3g} m: are its limits in millimetres?"
     if (size := arm.model.stat.extent) > 200.0:  # [m]
         yield f"the model is {size:.3g} m large: are its lengths in millimetres?"
     yield from _half_turns(arm, groups, np.vstack([home, samples]))

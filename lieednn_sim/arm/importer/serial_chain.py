@@ -47,6 +47,11 @@ def choose_chain(
     if hands := [model.joint(joint).name for joint in behind if is_gripper(model, joint)]:
         notes.append(f"taken for a gripper, and no part of the arm: {', '.join(hands)}; name the links to move it")
     (chain,) = joint_groups(model, (inner, body_frame(model, last)))
+    way, free = {*ancestry(model, last)}, np.flatnonzero(model.jnt_type == FREE).tolist()
+    idle = sorted({*range(model.njnt)} - _driven_joints(model) - {*chain, *free})
+    paths = ((model.joint(k).name, {*ancestry(model, int(model.jnt_bodyid[k]))}) for k in idle)
+    if left := [name for name, path in paths if path <= way or way <= path]:
+        notes.append(f"without an actuator, and so no part of the arm: {', '.join(left)}; name the joints to move it")
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
     names = [model.body(body).name for body in fixed if body != last]
     names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
