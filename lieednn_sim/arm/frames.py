@@ -60,7 +60,7 @@ class BodyFrames:
             xpos: positions ``(..., nbody, 3)`` of the model's bodies, as in MuJoCo's data.
             xmat: their rotation matrices ``(..., nbody, 9)``.
         """
-        turn = xmat.take(self.bodies, axis=-2).reshape(*xmat.shape[:-2], -1, 3, 3)
+        turn = xmat.take(self.bodies, axis=-2).reshape(*xmat.shape[:-2], len(self), 3, 3)
         place = xpos.take(self.bodies, axis=-2) + np.matvec(turn, self.positions)
         return place, turn @ self.rotations
 

@@ -153,6 +153,8 @@ class Log:
             InputError: a reference is malformed, or shorter than the steps.
         """
         arm, model, rows = self._simulation.arm, self._simulation.model, self._rows
+        q_ref = as_floats("q_ref", q_ref, ("M", arm.n_joints))[:rows].copy()
+        qd_ref = as_floats("qd_ref", qd_ref, ("M", arm.n_joints))[:rows].copy()
         log = {
             name: np.frombuffer(stream.getvalue(), count=rows * view.size).reshape(rows, *view.shape)
             for name, (stream, view) in self._log.items()
@@ -169,8 +171,8 @@ class Log:
             t=self._simulation.timestep * np.arange(self._first, self._first + rows, dtype=float),
             q=q,
             qd=arm.rates(q, log["qvel"]),
-            q_ref=as_floats("q_ref", q_ref, ("M", arm.n_joints))[:rows].copy(),
-            qd_ref=as_floats("qd_ref", qd_ref, ("M", arm.n_joints))[:rows].copy(),
+            q_ref=q_ref,
+            qd_ref=qd_ref,
             ctrl=self._own_controls(controls, log["qpos"], log["qvel"]),
             force=np.vecmat(np.nan_to_num(log["actuators"]), basis),
             constraint_force=np.vecmat(np.nan_to_num(log["constraints"]), basis),

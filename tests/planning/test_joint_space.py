@@ -58,7 +58,7 @@ def edges_of(gantry, spacing=0.1):
     """A test of edges whose coordinates are in units of 1, 2, 4 and 8, and the configurations that it tests."""
     seen = []
     clear = MagicMock(tests=0, first_blocked=seen.extend, side_effect=lambda q: seen.append(q) or True)
-    return EdgeTest(gantry, SimpleNamespace(clear=clear), spacing), seen
+    return EdgeTest(gantry, clear, spacing), seen
 
 
 def test_edges_are_tested_as_densely_in_space_whichever_way_they_go(gantry):
