@@ -198,9 +198,9 @@ class ClearanceBounds:
         """The largest n . x ``(P,)`` of the points x of geoms, for unit vectors n ``(P, 3)`` [m]."""
         own = np.vecmat(ways, place.turns[at, geoms])
         reach = np.vecdot(np.abs(own), self._flat[geoms]) + np.linalg.norm(own * self._oval[geoms], axis=1)
-        for geom, corners in self._meshes.items():
-            if (rows := np.flatnonzero(geoms == geom)).size:
-                reach[rows] = (own[rows] @ corners.T).max(axis=1)
+        for geom in self._meshes.keys() & set(geoms.tolist()):
+            rows = np.flatnonzero(geoms == geom)
+            reach[rows] = (own[rows] @ self._meshes[geom].T).max(axis=1)
         return np.asarray(reach + np.vecdot(place.geoms[at, geoms], ways))
 
     def _points(self, geoms: Ints) -> Floats:

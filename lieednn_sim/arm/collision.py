@@ -190,7 +190,8 @@ class Collisions:
         back, cosines = np.abs(np.vecmat(between, turn)) - half, np.abs(frame.swapaxes(1, 2) @ turn)
         beyond -= np.matvec(cosines, half)
         back -= np.vecmat(self._half.take(one, axis=0), cosines)
-        near = (np.maximum(beyond, back).max(axis=1) < limits + _SLACK).nonzero()[0]
+        between_boxes = np.maximum(beyond, back).max(axis=1)
+        near = (between_boxes < limits + _SLACK).nonzero()[0]
         at, index, limits, last = at[near], some[index[near]], limits[near], -1
         distance, segments, nearer = np.empty(len(at)), np.empty((len(at), 6)), np.empty(6)
         pairs, fields = self.pairs[index].tolist(), self.fields[index].tolist()
@@ -204,20 +205,26 @@ class Collisions:
                 limit, least = least, mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, least, nearer)
                 segment[:] = nearer if least < limit else segment
             distance[row] = least
-        self._pierce(places, turns, at, index, distance)
+        if (left := np.flatnonzero(self._rods[index] & (distance >= limits) & (between_boxes[near] < 0.0))).size:
+            distance[left] = self._from_rods(places, turns, at[left], index[left])
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
-    def _pierce(self, places: Floats, turns: Floats, at: Ints, index: Ints, distance: Floats) -> None:
-        """Make distances of boxes from capsules with their axes inside negative; MuJoCo takes some of them as apart."""
-        rows = np.flatnonzero(self._rods[index] & (distance > 0.0))
-        k, (rod, box), size = at[rows], self._rod_first[index[rows]].T, self.arm.geometry.geom_size
-        turn = turns[k, box]
-        way, off = np.vecmat(turns[k, rod, :, 2], turn), np.vecmat(places[k, rod] - places[k, box], turn)
+    def _from_rods(self, places: Floats, turns: Floats, at: Ints, index: Ints) -> Floats:
+        """Distances of capsules from boxes; MuJoCo takes some as apart that are not, such as with the axis inside."""
+        (rod, box), size = self._rod_first[index].T, self.arm.geometry.geom_size
+        turn, half, length = turns[at, box], size[box], size[rod, 1:2]
+        way, off = np.vecmat(turns[at, rod, :, 2], turn), np.vecmat(places[at, rod] - places[at, box], turn)
+        # The square of a point's distance from the box is quadratic between where the axis crosses planes of faces.
         with np.errstate(divide="ignore", invalid="ignore"):
-            first, last = np.sort([(-size[box] - off) / way, (size[box] - off) / way], axis=0)
-        inside = np.maximum(first.max(axis=1), -size[rod, 1]) <= np.minimum(last.min(axis=1), size[rod, 1])
-        distance[rows[inside]] = -size[rod[inside], 0]
+            cuts = np.hstack([(-half - off) / way, (half - off) / way, -length, length])
+            cuts = np.sort(np.clip(np.nan_to_num(cuts), -length, length), axis=1)
+            points = off[:, None] + cuts[..., None] * way[:, None]
+            slopes = ((points - np.clip(points, -half[:, None], half[:, None])) @ way[..., None])[..., 0]
+            last = np.clip((slopes < 0.0).sum(axis=1, keepdims=True), 1, cuts.shape[1] - 1)
+            (a, b), (f, g) = ([np.take_along_axis(v, last - n, axis=1) for n in (1, 0)] for v in (cuts, slopes))
+            nearest = off + (a + (b - a) * np.clip(np.nan_to_num(-f / (g - f)), 0.0, 1.0)) * way
+        return np.asarray(np.linalg.norm(nearest - np.clip(nearest, -half, half), axis=1) - size[rod, 0])
 
     def clearance(self, q: ArrayLike) -> float:
         """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""
