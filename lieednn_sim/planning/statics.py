@@ -155,9 +155,9 @@ def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, q
     They are generalised forces along the coordinates. Where limits of these do not say all, such as in closed loops or
     with tendons that pull at several joints, those of all actuators and at joints with a limited sum of forces follow.
     """
-    # With rates of what is carried in them, these include the forces on it.
-    basis = arm.unit_rates(None if arm.grasp is None and arm.dependents is None else q)
-    needed = np.vecmat(required_forces(arm.model, arm.qpos(q), qvel, qacc, limited=True), basis)
+    qpos = arm.qpos(q)  # with rates of what is carried, forces include those on it
+    basis = arm.moving(qpos) if arm.grasp is None else arm.unit_rates(q)
+    needed = np.vecmat(required_forces(arm.model, qpos, qvel, qacc, limited=True), basis)
     friction = dry_friction(arm.model, basis)
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
     return _with_bounds(arm, needed, basis, qvel)
