@@ -286,14 +286,14 @@ class TimedCurve:
         pace = law.x[-1] / t[-1]
         fraction = np.clip(law(t * pace), 0.0, 1.0)
         q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
-        q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
         xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
-        xi[[0, -1]] = old.xi[[0, -1]]
-        tau, translation, rotation = (
-            make_interp_spline(self._fraction, values[kept], k=1)(fraction)
-            for values in (old.tau, old.gap_translation, old.gap_rotation)
-        )
-        return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
+        q[[0, -1]], qd[[0, -1]], xi[[0, -1]] = old.q[[0, -1]], 0.0, old.xi[[0, -1]]
+        # A network's state follows exp(-tau), which changes evenly along the path, while tau does not near its end.
+        left = PchipInterpolator(self._fraction, np.exp(-old.tau[kept]))(fraction)
+        tau = 0.0 - np.log(np.clip(left, *np.exp(-old.tau[[-1, 0]])))
+        both = old.gap_translation, old.gap_rotation
+        gaps = (make_interp_spline(self._fraction, gap[kept], k=1)(fraction) for gap in both)
+        return Motion(t, tau, xi, old.xi_target, q, qd, *gaps)
 
 
 def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:
