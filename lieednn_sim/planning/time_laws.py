@@ -137,8 +137,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     """
     if np.ptp(motion.q, axis=0).max() <= 1e-8:
         return motion
-    moving = np.ptp(motion.q, axis=0) > 0.0
-    if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:
+    if (free := np.flatnonzero((np.ptp(motion.q, axis=0) > 0.0) & np.isinf(arm.acceleration_limits))).size:
         raise InputError(
             f"joint {arm.joint_names[free[0]]!r} has no limit of acceleration, so that the fastest motion has no end; "
             "name one: Arm.load(..., limits={...}), or the custom numeric acceleration_limit"
@@ -161,6 +160,7 @@ class TimedCurve:
         # Samples are dense where the motion is slow; if too dense, they would make the second derivative noisy.
         kept = np.unique(np.searchsorted(fraction, np.linspace(0.0, 1.0, _PIECES + 1)))
         self._arm, self._motion, self._kept, self._fraction = arm, motion, kept, fraction[kept]
+        self._every, self._places = np.unique(fraction, return_index=True)
         self.q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
         self.own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
@@ -286,14 +286,14 @@ class TimedCurve:
         pace = law.x[-1] / t[-1]
         fraction = np.clip(law(t * pace), 0.0, 1.0)
         q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
-        q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
         xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
-        xi[[0, -1]] = old.xi[[0, -1]]
-        tau, translation, rotation = (
-            make_interp_spline(self._fraction, values[kept], k=1)(fraction)
-            for values in (old.tau, old.gap_translation, old.gap_rotation)
-        )
-        return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
+        q[[0, -1]], qd[[0, -1]], xi[[0, -1]] = old.q[[0, -1]], 0.0, old.xi[[0, -1]]
+        # A network's state follows exp(-tau), which changes evenly along the path, while tau does not near its end.
+        left = PchipInterpolator(self._every, np.exp(-old.tau[self._places]))(fraction)
+        tau = 0.0 - np.log(np.clip(left, *np.exp(-old.tau[[-1, 0]])))
+        both = old.gap_translation, old.gap_rotation
+        gaps = (make_interp_spline(self._fraction, gap[kept], k=1)(fraction) for gap in both)
+        return Motion(t, tau, xi, old.xi_target, q, qd, *gaps)
 
 
 def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:

@@ -16,6 +16,7 @@ from lieednn_sim.arm.deviations import Deviations
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, find_tube, plan, tube
+from lieednn_sim.planning.time_laws import retime
 
 from .arms import coarse
 
@@ -225,3 +226,13 @@ def test_where_visible_neurons_hear_each_other_only_a_ball_is_proved():
     off[2, 4] = 0.999 * tube.push
     assert tube.holds(off)
     assert not tube.holds(1.01 * off)
+
+
+def test_the_fastest_motion_on_a_path_has_the_tube_of_the_path():
+    """Before, times of the network were linear along the path, and the states off its own by 3e-4, or 2e-5 here."""
+    pytest.importorskip("toppra")
+    arm, made, slow = tubed("telescopic_pr")
+    motion = retime(arm, made.motion)
+    states = made.network.trajectory(made.network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
+    np.testing.assert_allclose(made.network.visible(states), motion.xi, rtol=0.0, atol=1e-6)
+    assert find_tube(arm, replace(made, motion=motion)).push == pytest.approx(slow.push, rel=0.05)
