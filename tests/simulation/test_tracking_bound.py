@@ -52,7 +52,7 @@ def test_steps_of_time_are_part_of_the_bound():
 
 
 def test_forces_of_the_feedback_are_within_their_limits():
-    """The motion needs 5.77 N of 0.95 * 6.2 N. With c D = 1.284 * 0.0244 / 0.97 * 2.89 of feedback, it is 0.18 N more."""
+    """The motion needs 5.77 of 0.95 * 6.2 N; for 0.05 kg feedback adds 2 * 1.284 * 0.0244 / 0.97 * 2.89 N."""
     weak = Arm.from_spec(mujoco.MjSpec.from_string(_SLIDE.format(axis="1 0 0").replace("500", "6.2")))
     motion = plan(weak, [0.5], start=[0.0], planner="minimum-jerk", duration=1.0)
     tracking_bound(weak, motion, payload=0.015)
