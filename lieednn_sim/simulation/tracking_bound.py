@@ -62,7 +62,7 @@ def tracking_bound(
 
     Raises:
         InputError: a value is malformed, the arm has what there is no bound for, or time steps exceed 0.5 / frequency.
-        NotCertifiedError: it is not proved that the feedback holds the joints, or does so within force limits.
+        NotCertifiedError: it is not proved that the feedback holds the joints, or does so by 95 % of the force limits.
     """
     low, high = as_floats("mass_scale", mass_scale, (2,)).tolist()
     if not 0.0 < low <= high:
@@ -95,7 +95,7 @@ def tracking_bound(
         else:
             raise NotCertifiedError("the tracking errors are not bounded: larger ones let the mismatch grow as much")
         if use.max() > 1.0:
-            asked = f"joint {arm.joint_names[use.argmax()]!r} for {use.max():.3g} times its force limit"
+            asked = f"joint {arm.joint_names[use.argmax()]!r} for {use.max():.3g} times 95 % of its force limit"
             raise NotCertifiedError(f"the feedback may ask {asked}; plan a slower motion, or allow for smaller changes")
         error = np.maximum(error, np.maximum(before, largest) / rate**2)
     return error
@@ -142,5 +142,5 @@ class _Mismatch:
             inertia, bias, known, expected = parts
             share.append(np.linalg.solve(inertia, inertia - known))
             forced.append(share[-1] @ wanted + np.linalg.solve(inertia, bias - expected))
-            use.append((force + np.abs(known) @ feedback) / limit)
+            use.append((force + np.abs(known) @ feedback) / (0.95 * limit))  # a reserve for steps and between instants
         return np.abs(share).max(axis=0), np.abs(forced).max(axis=0), np.max(use, axis=0)
