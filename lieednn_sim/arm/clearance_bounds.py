@@ -161,7 +161,8 @@ class ClearanceBounds:
         slope = deviated + linear[..., None]
         # The distance of each corner from the plane at the other geom, and of all of them by the measured gap, of which
         # no more counts than what lies between the geoms along the normal: MuJoCo's solvers are not exact.
-        support, behind = self._reaches(place, at, fixed, normals), self._reaches(place, at, moving, -normals)
+        facing = np.concatenate([normals, -normals])
+        support, behind = np.split(self._reaches(place, np.tile(at, 2), np.concatenate([fixed, moving]), facing), 2)
         hollow = self._collisions.fields[index]
         gaps = np.where(hollow, gaps, np.minimum(gaps, -behind - support))
         free = places - come - (support + margin)[:, None] - constant[..., None]
@@ -197,7 +198,8 @@ class ClearanceBounds:
     def _reaches(self, place: Places, at: Ints, geoms: Ints, ways: Floats) -> Floats:
         """The largest n . x ``(P,)`` of the points x of geoms, for unit vectors n ``(P, 3)`` [m]."""
         own = np.vecmat(ways, place.turns[at, geoms])
-        reach = np.vecdot(np.abs(own), self._flat[geoms]) + np.linalg.norm(own * self._oval[geoms], axis=1)
+        oval = own * self._oval[geoms]
+        reach = np.vecdot(np.abs(own), self._flat[geoms]) + np.sqrt(np.vecdot(oval, oval))
         for geom in self._meshes.keys() & set(geoms.tolist()):
             rows = np.flatnonzero(geoms == geom)
             reach[rows] = (own[rows] @ self._meshes[geom].T).max(axis=1)
