@@ -108,7 +108,8 @@ class Cubics:
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, in steps, at which the velocity of a joint changes its sign."""
         before, after, (first, last) = self._moved[:-1], self._moved[1:], self._ends
-        at = k, _ = np.nonzero((before * after < 0.0) | (first * last < 0.0))
+        bent = np.minimum(before * after, first * last) < -1e-30  # more than rounding
+        at = k, _ = np.divmod(np.flatnonzero(bent), bent.shape[1])
         rate, first, jerk = before[at], first[at], (last - first)[at]
         with np.errstate(divide="ignore", invalid="ignore"):
             # Both roots of rate + first s + jerk s^2 / 2, without cancellation.

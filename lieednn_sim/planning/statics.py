@@ -76,7 +76,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     """
     last = len(t) - 1
     looks, changes = np.linspace(0, last, 33).round().astype(int), np.diff(qd, axis=0)
-    first = np.concatenate([np.minimum(looks, last - 1), changes.argmax(axis=0), changes.argmin(axis=0)])
+    first = np.unique([*np.minimum(looks, last - 1), *changes.argmax(axis=0), *changes.argmin(axis=0)])
     if np.isinf(_bounds(arm)).all() or (near := _use(_along(arm, t, q, qd, first)).max(axis=1) > _NEAR).sum() == 0:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
