@@ -85,20 +85,24 @@ def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return np.asarray((model.jnt_actgravcomp[model.dof_jntid] != 0) & acting)
 
 
-def actuator_ranges(model: mujoco.MjModel) -> Floats:
+def actuator_ranges(model: mujoco.MjModel, *, controls: bool = True) -> Floats:
     """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
 
     The control range of a motor or velocity servo limits its force at rest as well as its force range does, and so does
-    the ``actuatorfrcrange`` of the tendon at which an actuator pulls.
+    the ``actuatorfrcrange`` of the tendon at which an actuator pulls. Control ranges count only with ``controls``.
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
     for a in np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)).tolist():
         if model.tendon_actfrclimited[tendon := model.actuator_trnid[a, 0]]:
             ranges[a] = np.clip(ranges[a], *model.tendon_actfrcrange[tendon])
+    return np.clip(control_forces(model), ranges[:, :1], ranges[:, 1:]) if controls else ranges
+
+
+def control_forces(model: mujoco.MjModel) -> Floats:
+    """Least and largest force ``(nu, 2)`` at rest by control ranges of motors and velocity servos; else infinite."""
     motors, biases = _motors(model)
     by_control = np.sort(model.actuator_gainprm[:, :1] * control_ranges(model)) + biases[:, :1]
-    ranges[motors] = np.clip(by_control[motors], ranges[motors, :1], ranges[motors, 1:])
-    return ranges
+    return np.where(motors[:, None], by_control, [-np.inf, np.inf])
 
 
 def lost_forces(model: mujoco.MjModel) -> Floats:
@@ -110,8 +114,7 @@ def lost_forces(model: mujoco.MjModel) -> Floats:
 def _motors(model: mujoco.MjModel) -> tuple[NDArray[np.bool_], Floats]:
     """Which actuators ``(nu,)`` exert g ctrl + b0 + b2 v, whatever their lengths are, and b0, b1 and b2 of all."""
     biases = np.where(model.actuator_biastype[:, None] == int(mujoco.mjtBias.mjBIAS_NONE), 0, model.actuator_biasprm)
-    # An integrator's control is the rate of what acts.
-    static = model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    static = model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)  # its control is the rate of what acts
     return affine_actuators(model) & static & (biases[:, 1] == 0.0), biases[:, :3]
 
 

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, lost_forces, required_forces
+from lieednn_sim.arm.forces import (
+    actuator_moments,
+    actuator_ranges,
+    control_forces,
+    dry_friction,
+    lost_forces,
+    required_forces,
+)
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, weakly_cached
 
@@ -137,7 +144,8 @@ def _bounds(arm: Arm) -> tuple[Floats, Floats]:
     low, high = np.stack([-most, most])
     if not _simple(arm):
         model = arm.model
-        ranges = [actuator_ranges(model), model.jnt_actfrcrange[model.jnt_actfrclimited != 0]]
+        sums = model.jnt_actfrcrange[model.jnt_actfrclimited != 0]
+        ranges = actuator_ranges(model, controls=False), control_forces(model), sums
         low, high = np.concatenate([[low, high], *(each.T for each in ranges)], axis=1)
     return np.minimum(low, -_LEAST), np.maximum(high, _LEAST)
 
@@ -172,7 +180,7 @@ def _with_bounds(arm: Arm, needed: Floats, basis: Floats, qvel: Floats | float) 
         exerted = np.matvec(np.linalg.pinv(np.swapaxes(moments @ basis, -1, -2)), needed)
         sums = exerted @ moments[:, model.jnt_dofadr[model.jnt_actfrclimited != 0]]
         controlled = exerted + lost_forces(model) * np.matvec(moments, qvel + np.zeros(model.nv))
-        needed = np.concatenate([needed, controlled, sums], axis=1)
+        needed = np.concatenate([needed, exerted, controlled, sums], axis=1)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
 
 
@@ -195,9 +203,9 @@ def _overload(arm: Arm, j: int, where: str, load: float, limit: float) -> str:
     model, unit, n = arm.model, "N or N m", arm.n_joints
     if j < n:
         what, unit = f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
-    elif j < n + model.nu:
-        what, where = f"actuator {model.actuator(j - n).name!r}", where.replace("be held", "hold")
+    elif j < n + 2 * model.nu:
+        what, where = f"actuator {model.actuator((j - n) % model.nu).name!r}", where.replace("be held", "hold")
     else:
-        what = f"joint {model.joint(int(np.flatnonzero(model.jnt_actfrclimited)[j - n - model.nu])).name!r}"
+        what = f"joint {model.joint(int(np.flatnonzero(model.jnt_actfrclimited)[j - n - 2 * model.nu])).name!r}"
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
     return f"{what} {where}{carried}: its load is {abs(load):.4g} {unit}, its force limit {limit:.4g} {unit}"

@@ -319,3 +319,17 @@ def test_a_payload_stays_in_a_run_directory(tmp_path, capsys):
     alone, loaded = (force_use(each, motion.t, motion.q, motion.qd) for each in (arm, arm.with_payload(6.0)))
     assert told["planned_force_fraction"] == pytest.approx(loaded)
     assert loaded > alone + 0.1
+
+
+def test_a_velocity_servo_is_not_as_weak_as_its_feedback_is_strong():
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><option gravity="0 0 0"/><worldbody><body name="link"><joint name="hinge" range="-170 170"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="1"/></body></worldbody>
+        <actuator><velocity name="servo" joint="hinge" kv="500" ctrlrange="-2 2" forcerange="-7 7"/></actuator>
+        </mujoco>"""
+    )
+    model = spec.compile()
+    arm = ls.Arm.of(model, mujoco.MjData(model), joints=["hinge"])
+    t = np.linspace(0.0, 2.0, 1001)
+    q, qd = 0.5 * (1.0 - np.cos(np.pi * t / 2.0)), 0.25 * np.pi * np.sin(np.pi * t / 2.0)
+    assert check_forces(arm, t, q[:, None], qd[:, None]) is None
