@@ -40,7 +40,6 @@ class Commands:
         parts = np.arange(substeps + 1)[:, None] / substeps
         self._before, self._after = 1.0 - parts, parts
         self._alone = None if len(arm.space.balls) else self._coefficients()
-        self._loaded = None if arm.qpos_home is None and arm.payload == 0.0 else arm.model  # else it is weightless
 
     def moved(self, command: Floats, action: Floats) -> Floats:
         """Commanded positions ``(..., n)`` after actions ``(..., n)``, from the commanded positions before."""
@@ -57,9 +56,9 @@ class Commands:
     def controls(self, start: Floats, end: Floats) -> Floats:
         """Controls ``(..., substeps, nu)`` that move the servos from commanded positions ``(..., n)`` to others."""
         load: Floats | float = 0.0
-        if self._loaded is not None:
+        if self._actuators.heavy:
             qpos = self._arm.qpos(np.stack([start, end]))
-            forces = required_forces(self._loaded, qpos.reshape(-1, qpos.shape[-1])).reshape(*qpos.shape[:-1], -1)
+            forces = required_forces(self._arm.model, qpos.reshape(-1, qpos.shape[-1])).reshape(*qpos.shape[:-1], -1)
             held = np.matvec(self._actuators.allocation, forces)[..., None, :] / self._actuators.gain
             load = self._before[:-1] * held[0] + self._after[:-1] * held[1]
         if self._alone is None:

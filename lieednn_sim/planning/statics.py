@@ -127,7 +127,6 @@ def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | 
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
 
 
-@weakly_cached
 def _simple(arm: Arm) -> bool:
     """Whether `Arm.force_limits` say all: no actuator, or pair of them, has a limit that these do not show."""
     if arm.dependents is not None:
@@ -138,8 +137,9 @@ def _simple(arm: Arm) -> bool:
     return bool(alone and not lost.any() and (low < 0.0).all() and (high > 0.0).all())
 
 
+@weakly_cached
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest forces ``(m,)``, as in `needed_forces`."""
+    """Least and largest forces ``(m,)``, as in `needed_forces`; more than n unless the arm is `_simple`."""
     most = arm.force_limits if arm.dependents is None else np.full(arm.n_joints, np.inf)
     low, high = np.stack([-most, most])
     if not _simple(arm):
@@ -174,7 +174,7 @@ def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, q
 def _with_bounds(arm: Arm, needed: Floats, basis: Floats, qvel: Floats | float) -> Floats:
     """Forces along the coordinates ``(S, n)``, and those that follow from them, with bounds, as in `needed_forces`."""
     (low, high), model = _bounds(arm), arm.model
-    if not _simple(arm):
+    if len(low) > arm.n_joints:
         # The actuator forces of least norm that have this effect.
         moments = actuator_moments(model)
         exerted = np.matvec(np.linalg.pinv(np.swapaxes(moments @ basis, -1, -2)), needed)

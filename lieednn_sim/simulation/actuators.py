@@ -36,6 +36,7 @@ class Actuators:
         allocation: ``(nu, nv)`` forces of least norm with the effect of generalised forces on the arm.
         gain: ``(nu,)`` g of those that drive.
         bias: ``(3, nu)`` their b0, b1 and b2.
+        heavy: whether servos bear the arm's weight; that of the package's arms is compensated, but for a payload.
 
     Raises:
         InputError: an actuator that moves the arm is not `forces.DRIVABLE`, or the actuators cannot move the arm.
@@ -66,6 +67,7 @@ class Actuators:
         self.bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self.servos = self.driving & (self.bias[1] / self.gain < 0.0)
         self.servoed = np.abs(transmission[self.servos]).max(axis=0, initial=0.0) > 1e-9
+        self.heavy = arm.qpos_home is not None or arm.payload > 0.0
         self._idle = np.where(self.driving, 0.0, arm.data().ctrl)
         # In a model with more than an arm, the user may change the controls of the other actuators.
         self._written: Any = True if arm.state is None else self.driving

@@ -130,8 +130,7 @@ class PositionServo(FeedforwardServo):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
-        self._damping = arm.model.dof_damping.copy()
-        self._loaded = None if arm.qpos_home is None and arm.payload == 0.0 else arm.model
+        self._model, self._damping = arm.model, arm.model.dof_damping.copy()
 
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
@@ -139,9 +138,9 @@ class PositionServo(FeedforwardServo):
         rows = reference.row(np.array(steps))
         qpos, velocity = reference.qpos[rows], reference.qvel[np.minimum(rows + 1, reference.known - 1)]
         forces = self._damping * velocity
-        if self._loaded is not None:
+        if self._actuators.heavy:
             firsts, run = runs(qpos)
-            forces += required_forces(self._loaded, qpos[firsts])[run]
+            forces += required_forces(self._model, qpos[firsts])[run]
         return self._actuators.servo_controls(qpos, velocity, forces)
 
 
