@@ -34,7 +34,7 @@ _LABELS_IN_ROW = 5  # of channels
 def plot(rollout: Rollout, directory: StrPath) -> tuple[Path, ...]:
     """Plot a run in PNG files: tracking error, joints, and network, clearance, modes and channels if it has them.
 
-    The files are ``tracking.png``, ``joints.png``, and ``network``, ``clearance``, ``modes`` and ``channels.png``.
+    Files have these names: ``tracking.png``, ``joints.png``, ``network.png``, and so on.
 
     Args:
         rollout: the simulated run.

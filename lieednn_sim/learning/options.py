@@ -77,7 +77,7 @@ class TrainingOptions(LearningOptions):
         period: epochs between projections.
         learn_alpha: step in alpha by dE/dalpha; otherwise alpha stays 1/(3N). The scaled projection sets alpha itself.
         step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
-            one projection to the next are a trial, repeated at a smaller rate if the equilibrium jumps by ``max_jump``.
+            one projection to the next are a trial, repeated at a smaller rate if the equilibrium is lost or jumps.
         max_epochs: largest number of epochs over all starts; only this number limits the last start.
         verified_stop: test the tolerance after step and projection; the printed algorithm tests before.
     """

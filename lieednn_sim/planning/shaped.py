@@ -44,7 +44,7 @@ class ShapedOptions(NetworkOptions):
             (`synthesis.CurveEncoder`), which is as fast as the arm; a motion too long or too sharply bent for that gets
             a network of its own. With less than 1, a network is shaped that returns to its path after a push.
         guides: largest number of seeds, from the problem's on, whose guides are tried until a network follows one.
-        neurons: numbers of hidden neurons to try in turn for a network of its own, up to a fifth of the deviation.
+        neurons: numbers of hidden neurons tried in turn for a network of its own, until it keeps 0.2 of the deviation.
         guide: how the guide's motion is found.
     """
 

@@ -37,7 +37,7 @@ class PathIntegralOptions(PlannerOptions):
         pairs: half the number of samples, which are drawn in pairs of opposite noise.
         steps: number of steps of the horizon.
         step: length of a step [s].
-        noise: standard deviation of velocities, as a fraction of convergence rate times a joint's largest distance.
+        noise: standard deviation of velocities, over the convergence rate times the largest distance to the target.
         temperature: lambda, as a fraction of the median cost minus the least cost.
         near: distance kept from the surroundings where the target allows it [m].
         nearness: cost rate where the arm is nearer than `near` [1/s].

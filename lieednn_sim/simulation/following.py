@@ -82,7 +82,7 @@ def follow(
             simulation step, the last of which stays.
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
-        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` for servos, or ``feedback-linearisation``.
+        controller: of `CONTROLLERS`; by default ``inverse-dynamics`` for servos, else ``feedback-linearisation``.
         disturbances: disturbances unknown to policy and controller.
         log: further quantities to log, as for `simulate`.
 

@@ -109,7 +109,7 @@ def align(
 
     Args:
         demonstrations: at least one, all with the same dof.
-        phase: ``"length"``, its fraction, which does not depend on speed and pauses, or ``"time"``, its fraction.
+        phase: ``"length"`` or ``"time"``, the fraction of which is the phase; length ignores speed and pauses.
         samples: K.
         lever: metres that a radian counts for in lengths.
         goals: ``"aligned"``, every demonstration is seen from its own goal, or ``"kept"``, all from the mean goal.

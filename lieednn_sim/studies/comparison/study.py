@@ -75,7 +75,7 @@ class Comparison(Study[Row]):
         seeds: number of seeds for each arm, scene and planner.
         first_seed: the first seed; change it for fresh problems.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
-        slow_seeds: number of seeds for planners whose cases take more than a second, by default and most ``seeds``.
+        slow_seeds: number of seeds for planners whose cases take more than a second, at most ``seeds``, the default.
         common: settings of all rows.
         shard: the shard of the cases that is computed; None for all.
 
