@@ -91,7 +91,7 @@ class ClearanceBounds:
         The deviation d is any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
 
         Returns:
-            Scales ``(I,)`` up to ``most`` with the path, those without it, and the geoms ``(I, 2)`` of the latter, or -1.
+            Scales ``(I,)`` up to ``most``; those without the path; and the geoms ``(I, 2)`` of the latter, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)
