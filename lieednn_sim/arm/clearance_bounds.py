@@ -107,23 +107,26 @@ class ClearanceBounds:
         there, limiting = _least(found[1], at, pairs, len(q), most)
         return whole, there, limiting
 
-    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Ints]:
-        """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
+    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Floats, Ints]:
+        """Lower bounds of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        ``q``, ``path`` and ``rest`` are ``(I, n)``. A bound is at most the cutoff [m], and at least -1, its value where
-        loops cannot be closed. The geoms ``(I, 2)`` are those that set the bound, or -1.
+        ``q``, ``path`` and ``rest`` are as for a call.
+
+        Returns:
+            Bounds ``(I,)`` up to the cutoff [m], and at least -1, their value where loops cannot be closed; those
+            without the path; and the geoms ``(I, 2)`` that set the first, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
-        steps, rests = np.zeros((3, len(q), len(self._turns))), np.zeros((len(q), 2, q.shape[1]))
-        steps[0], rests[:, 0] = self._displacements(np.abs(path) + rest), rest
-        still = np.zeros((len(q), len(self._members)))
+        steps, still = np.zeros((3, len(q), len(self._turns))), np.zeros((len(q), len(self._members)))
+        steps[:2] = self._displacements(np.stack([np.abs(path) + rest[:, 0], rest[:, 1]]))
         try:
-            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+            at, pairs, free, gap, _, _ = self._rows(q, path, rest, still, steps, steps[0], cutoff)
         except NoSolutionError:
-            return np.full(len(q), -1.0), np.full((len(q), 2), -1)
-        found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
-        return _least(found, at, pairs, len(q), cutoff)
+            return np.full(len(q), -1.0), np.full(len(q), -1.0), np.full((len(q), 2), -1)
+        whole, there = np.maximum(np.maximum(free.min(axis=-1, initial=cutoff), gap), -1.0)
+        (least, limiting), (middle, _) = (_least(found, at, pairs, len(q), cutoff) for found in (whole, there))
+        return least, middle, limiting
 
     def _rows(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
@@ -170,8 +173,10 @@ class ClearanceBounds:
         # Geoms that touch have no normal, and no plane separates geoms that are not convex.
         touching = gaps - margin <= _TOUCHING
         free[:, touching], gap[:, touching] = np.minimum(free[:, touching], 0.0), np.minimum(gap[:, touching], 0.0)
-        free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
-        gap[1, hollow] = gap[0, hollow]
+        # Parts near a height field count with their whole reach, in all directions.
+        widest, far = np.stack([widest, widest - steps[0] + steps[1]]), alone * reach[at, moving] + also
+        free[:, hollow] = -np.inf
+        gap[:, hollow] = (gaps - margin)[hollow] - np.vecdot(far[hollow], widest[:, at[hollow]])
         return at, pairs, free, gap, slope, square
 
     def owns(self, pair: tuple[int, int]) -> bool:

@@ -94,7 +94,7 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
     distance = [1e3 * min(collisions.nearest_at(qpos[None])[0], FAR) for qpos in rollout.qpos[some]]
     if not isinstance(bounds, str):
         t, *tracked = rollout.tracked
-        least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0] - rollout.slack
+        least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:]), FAR)[0] - rollout.slack
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
     with layout.over_time(rollout, path, "[mm]", f"distance from contact, up to {high:g} mm") as axis:
         proved = {"fill": True, "color": layout.COLOURS[2], "alpha": 0.4, "label": "proved"}

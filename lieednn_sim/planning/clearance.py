@@ -133,10 +133,10 @@ class Cubics:
         jerk = last - first
         return q + s * (moved + s * (0.5 * first + s * jerk / 6.0)), moved + s * (first + 0.5 * s * jerk)
 
-    def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
-        """Midpoints of intervals, directions, and bounds of how far joints deviate from these, each ``(I, n)``.
+    def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Midpoints of intervals and directions, both ``(I, n)``, and bounds of how far joints deviate from these.
 
-        The last array is what is left of the bounds if the interval has no length. Begin and end ``(I,)`` are in steps.
+        The bounds ``(I, 2, n)`` are those in the interval and at its middle. Begin and end ``(I,)`` are in steps.
         """
         begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
@@ -150,7 +150,7 @@ class Cubics:
         else:
             # The first term is the distance of a chord from its cubic within a step.
             left = 0.125 * widest + [np.maximum.reduce(self._off[a : b + 1]) for a, b in steps]
-        return at, half * rate, 0.5 * half**2 * widest + left, left
+        return at, half * rate, np.stack([0.5 * half**2 * widest + left, left], axis=1)
 
 
 def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
@@ -182,7 +182,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics |
             _test(arm, step, cubics, np.unique(np.concatenate(every)))
             return
         tested += len(begin)
-        least, _ = bounds.least(*cubics.around(begin, end)[:3], arm.clearance)
+        least, _, _ = bounds.least(*cubics.around(begin, end), arm.clearance)
         begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
         middle, whole = 0.5 * (begin + end), end - begin > 1.0
         _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
@@ -236,9 +236,7 @@ def proved_clearance(
     while len(begin):
         check_time()
         measured += len(begin)
-        at, way, rest, left = cubics.around(begin, end)
-        least, pairs = bounds.least(at, way, rest, nearest + slack)
-        there, _ = bounds.least(at, 0.0 * way, left, nearest + slack)
+        least, there, pairs = bounds.least(*cubics.around(begin, end), nearest + slack)
         least, there = least - slack, there - slack
         nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
@@ -293,7 +291,7 @@ class ProofAhead:
         if self.pair or not self._left or isinstance(bounds, str):
             return
         begin, end = self._left[-1]
-        (least,), (pair,) = bounds.least(*self._cubics.around([begin], [end])[:3], NEAR)
+        (least,), _, (pair,) = bounds.least(*self._cubics.around([begin], [end]), NEAR)
         if least <= 0.0 and end - begin < 1.0 / 64.0:
             self.pair = bounds.names(pair) if pair[0] >= 0 else ("a loop", "itself")
             return

@@ -40,11 +40,10 @@ class ClearanceMonitor:
         self._cubics = Cubics(self._step, q, qd, self._off)
         self._before: tuple[float, Floats] | None = None
         self.edges = np.unique(np.linspace(0, self._last, 129).round())
-        self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
-        self.allowed = np.zeros(len(self._rest))
+        self._middle, self._way, rest = self._cubics.around(self.edges[:-1], self.edges[1:])
+        self._rest, self.allowed = rest[:, 0], np.zeros(len(rest))
         if not isinstance(bounds, str):
-            rests, one = np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
-            self.allowed = bounds(self._middle, self._way, rests, one, FAR)[0]
+            self.allowed = bounds(self._middle, self._way, rest, np.ones((len(rest), 1)), FAR)[0]
 
     @classmethod
     def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:
@@ -85,13 +84,13 @@ class ClearanceMonitor:
             return ""
         begin = min(begin, self._last - 1.0)
         self._off[int(begin) : int(np.ceil(end)) + 1] = widest
-        middle, way, rest, _ = self._cubics.around([begin], [end])
-        least, pairs = bounds.least(middle, way, rest, NEAR + slack)
+        middle, way, rest = self._cubics.around([begin], [end])
+        least, _, pairs = bounds.least(middle, way, rest, NEAR + slack)
         if least[0] > slack:
             return ""
         # The joint to blame: the one without whose error the bound would be largest.
         n = len(q)
-        without, _ = bounds.least(middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
+        without = bounds.least(middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest)[:, None], FAR)[0]
         joint, near = int(without.argmax()), ""
         if pairs[0, 0] >= 0:
             others = f", other joints bring parts up to {1e3 * slack:.2g} mm nearer" if slack > 0.0 else ""

@@ -204,9 +204,8 @@ class _Path:
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """The scales of `ClearanceBounds` in an interval of samples, at all its instants and at its middle alone."""
-        middle, path, curve, _ = self._cubics.around([a], [b])
-        rest = np.stack([self._rest + curve, self._rest + 0.0 * curve], axis=1)
+        middle, path, rest = self._cubics.around([a], [b])
         first = min(int(a), len(spread) - 2)
         widest = spread[first : max(int(np.ceil(b)), first + 1) + 1].max(axis=0)
-        whole, there, pairs = self.bounds(middle, path, rest, widest[None], most)
+        whole, there, pairs = self.bounds(middle, path, rest + self._rest, widest[None], most)
         return float(whole[0]), float(there[0]), (int(pairs[0, 0]), int(pairs[0, 1]))

@@ -125,7 +125,7 @@ def test_a_distance_that_mujoco_finds_too_large_proves_no_more_than_is_so(name, 
     arm = Arm.of(model, mujoco.MjData(model), [name])
     bounds = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))])
     for cutoff in (0.2, max(apart, 0.001)):
-        assert bounds.least(*np.zeros((3, 1, 1)), cutoff)[0] <= apart
+        assert bounds.least(*np.zeros((2, 1, 1)), np.zeros((1, 2, 1)), cutoff)[0] <= apart
 
 
 def test_boxes_are_in_contact_where_mujoco_lets_them_push_each_other():
@@ -137,7 +137,7 @@ def test_boxes_are_in_contact_where_mujoco_lets_them_push_each_other():
     mujoco.mj_forward(model, data)
     assert data.nefc > 0
     bounds = ClearanceBounds(Arm.of(model, data, [model.joint(0).name]), [(np.zeros(1, int), np.ones(1))])
-    assert bounds.least(*np.zeros((3, 1, 1)), 0.1)[0] <= 0.0
+    assert bounds.least(*np.zeros((2, 1, 1)), np.zeros((1, 2, 1)), 0.1)[0] <= 0.0
 
 
 def test_a_floor_does_not_end():
@@ -146,7 +146,7 @@ def test_a_floor_does_not_end():
     model = mujoco.MjModel.from_xml_string(f"{floor}{ball}</worldbody></mujoco>")
     arm = Arm.of(model, mujoco.MjData(model), [model.joint(0).name])
     bounds, still = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))]), np.zeros((1, 1))
-    assert bounds.least(still, still + 0.5, still, 2.0)[0] == pytest.approx(0.4)
+    assert bounds.least(still, still + 0.5, np.zeros((1, 2, 1)), 2.0)[0] == pytest.approx(0.4)
 
 
 HILLS = """
@@ -164,9 +164,10 @@ def test_a_height_field_is_not_convex():
     bounds, collisions, largest = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))]), Collisions(arm), 0.0
     for place in np.linspace(-0.6, 0.6, 13):
         for half in (0.01, 0.05, 0.2, 0.4):
-            least = bounds.least(np.full((1, 1), place), np.full((1, 1), half), np.zeros((1, 1)), 0.5)[0][0]
+            (least,), (there,), _ = bounds.least(*np.array([[[place]], [[half]]]), np.zeros((1, 2, 1)), 0.5)
             reached = collisions.clearance(np.linspace(place - half, place + half, 41)[:, None])
             assert least <= max(reached, 0.0) + 1e-9
+            assert max(there, 0.0) == pytest.approx(max(collisions.clearance(np.full((1, 1), place)), 0.0), abs=1e-9)
             largest = max(largest, float(least))
     assert largest > 0.1
 

@@ -110,7 +110,7 @@ def test_pieces_hold_the_cubic():
     q, qd, step = rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), 0.1
     spline, largest = CubicHermiteSpline(step * np.arange(9), q, qd), 0.0
     for begin, end in ((0.0, 8.0), (1.0, 3.0), (2.25, 2.5), (3.5, 5.25), (8.0, 8.0), (7.5, 8.0)):
-        at, way, rest, _ = (value[0] for value in Cubics(step, q, qd).around([begin], [end]))
+        at, way, (rest, _) = (value[0] for value in Cubics(step, q, qd).around([begin], [end]))
         c = np.linspace(-1.0, 1.0, 201)[:, None]
         off = np.abs(spline(step * (0.5 * (begin + end) + 0.5 * (end - begin) * c[:, 0])) - at - c * way)
         assert (off <= rest + 1e-12).all()
