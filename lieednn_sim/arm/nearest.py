@@ -150,8 +150,8 @@ class NearestPose:
             # Long steps are not taken, since they leave the range of the quadratic model.
             step = np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
             q[moving] -= step
-            # After a step of this size, the next one, about its square, would be rounding.
-            moving = moving[np.abs(step).max(axis=-1) > 1e-9]
+            # After a step of this size, the next one, about its square, would hardly be more than rounding.
+            moving = moving[np.abs(step).max(axis=-1) > 1e-6]
             if not moving.size:
                 break
         return q
