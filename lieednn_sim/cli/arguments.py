@@ -134,8 +134,8 @@ class Planning(Goal):
 
     Attributes:
         planner: one of your own as FILE.py:FUNCTION, or a name of `PLANNERS` (default:
-            lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or where three hinges move a
-            link).
+            lieednn-certified; lieednn-shaped among obstacles, an imported arm's floor included, with --path-constraint,
+            or where three hinges move a link).
         option: an option of the planner; --planner NAME --help lists them.
         path_constraint: line or orientation: keep the end effector on a straight line, or at its orientation.
         fastest: follow the planned path as fast as the arm's limits allow.
