@@ -23,6 +23,7 @@ REFUSED = {
     "plan --target nowhere": "no keyframe 'nowhere'",
     "plan --target 1,2,3": "target must be 8 comma-separated numbers, got 3",
     "plan --target 0,nan,0,0,0,0,0,0": "target must be 8 comma-separated numbers, got '0,nan",
+    "plan --target nan,0,0,0,0,0,0,0": "target must be 8 comma-separated numbers, got 'nan,",
     "plan --target 0,0.1,0,9,0,0,0,0": "joint 'extend1' would be at 9 m",
     "plan --target home --position 1,2,3": "give one of --target, --position and --pose",
     "plan --position 1e6,0,0": "cannot reach (1e+06, 0, 0) m",
