@@ -80,6 +80,8 @@ REFUSED = {
     "learn way.csv --links a,b": "--links needs --arm FILE.xml",
     "learn way.csv --arm telescopic_pr": "must have 8 columns",
     "compare --jobs 0": "jobs must be at least 1",
+    "compare --policy fabric": "--policy adds to the benchmark of --reactive, which needs a number of seeds",
+    "compare --reactive 1 --policy no.py:one": "policy 'no.py:one': there is no file no.py",
     "compare --views -1": "views must be at least 0",
     "export a": "the following arguments are required: --format",
     "export --format csv": "name the directories to export, or the number of --episodes to record",
