@@ -106,8 +106,7 @@ def _print_found(study: Comparison, policies: Sequence[str]) -> None:
         console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
         if arm:
             print_import_report(arm)
-    own = PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers) + POLICIES.origins(policies)
-    for line in own:
+    for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers) + POLICIES.origins(policies):
         console.print(line, markup=False)
 
 

@@ -18,7 +18,6 @@ from lieednn_sim.arm.forces import (
     tangent_basis,
 )
 from lieednn_sim.arm.limits import largest_inertia
-from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.planning.statics import TooWeakError, check_held
 from lieednn_sim.simulation import Rollout
@@ -55,8 +54,12 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
         far = f"a link ends {1e3 * off[0]:.3g} mm and {np.rad2deg(off[1]):.3g} degrees from where the joints have it"
         lines = [f"{far}: what carries the arm has moved, or an equality of the model gives way"]
     ranked = np.argsort(-matters, kind="stable")[: max(1 - len(lines), int((matters > 1.0).sum()))]
-    result, helpful = _reasons(rollout, error, weak := _too_weak(rollout))
-    lines += [weak] * bool(weak)
+    slower = "a longer duration"
+    try:
+        check_held(arm, np.stack([target, rollout.q_ref[-1]]), ["the target", "the end of its reference"])
+    except TooWeakError as weak:  # in any time
+        lines, slower = [*lines, str(weak)], "another target, or a smaller load"
+    result, helpful = _reasons(rollout, error, slower)
     lines += [
         f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
@@ -67,22 +70,8 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     return (*lines, f"what helps: {', or '.join(help_with)}") if help_with else tuple(lines)
 
 
-def _too_weak(rollout: Rollout) -> str:
-    """Which actuator cannot hold the arm at its target, or at the end of its reference; empty if all can."""
-    try:
-        check_held(rollout.arm, np.stack([rollout.target, rollout.q_ref[-1]]), ["the target", "the reference's end"])
-    except TooWeakError as error:
-        return str(error)
-    except NoSolutionError:  # closed loops stay open there
-        return ""
-    return ""
-
-
-def _reasons(rollout: Rollout, error: Floats, weak: str) -> tuple[list[list[str]], list[list[str]]]:
-    """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies.
-
-    If actuators are too ``weak`` to hold the arm (`_too_weak`), time does not help.
-    """
+def _reasons(rollout: Rollout, error: Floats, slower: str) -> tuple[list[list[str]], list[list[str]]]:
+    """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies; ``slower`` is one."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
     kp, _ = servo_gains(model, basis)
     load = np.abs(required_forces(model, rollout.qpos[-1:])[0] @ basis)
@@ -105,7 +94,6 @@ def _reasons(rollout: Rollout, error: Floats, weak: str) -> tuple[list[list[str]
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
-    slower = "another target, or a smaller load" if weak else "a longer duration"
     for j, off in enumerate(np.abs(error)):
         if abs(aim := rollout.q_ref[-1, j] - rollout.target[j]) > _LEAST_EXPLAINED * off:
             reasons[j].append(f"its reference ends {arm.amount(j, aim)} off")

@@ -96,20 +96,18 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     nearest to it changes abruptly. There, and among obstacles, the default planner follows a guide's motion. Obstacles
     of an imported arm are also its floor, and whatever else of its model stands beside it.
     """
-    if arm.scene != "free" or arm.state is not None or (arm.import_report is not None and _stands_among(arm)):
+    among = arm.scene != "free" or arm.state is not None
+    if arm.import_report is not None and not among:
+        collisions = Collisions(arm)
+        robots = arm.geometry.body_rootid[arm.geometry.geom_bodyid[collisions.pairs[~collisions.own]]]
+        among = bool((robots[:, 0] != robots[:, 1]).any())
+    if among:
         return OBSTACLE_PLANNER, "the default among obstacles"
     hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
     redundant = 3  # hinges that move one link
     if any(len(turning) >= redundant for turning in hinges):
         return OBSTACLE_PLANNER, "the default where three or more hinges move a link"
     return "lieednn-certified", "the default without obstacles"
-
-
-def _stands_among(arm: Arm) -> bool:
-    """Whether an arm may touch something that is no part of its own robot, such as its floor."""
-    collisions = Collisions(arm)
-    robots = arm.geometry.body_rootid[arm.geometry.geom_bodyid[collisions.pairs[~collisions.own]]]
-    return bool((robots[:, 0] != robots[:, 1]).any())
 
 
 def plan(

@@ -207,9 +207,8 @@ def _overload(arm: Arm, j: int, where: str, load: float, limit: float) -> str:
     elif j < n + 2 * model.nu:
         what, where = f"actuator {model.actuator((j - n) % model.nu).name!r}", where.replace("be held", "hold")
     else:
-        joints, tendons = np.flatnonzero(model.jnt_actfrclimited), np.flatnonzero(model.tendon_actfrclimited)
-        limited = *map(model.joint, joints), *map(model.tendon, tendons)
-        at = j - n - 2 * model.nu
+        at, joints = j - n - 2 * model.nu, np.flatnonzero(model.jnt_actfrclimited)
+        limited = *map(model.joint, joints), *map(model.tendon, np.flatnonzero(model.tendon_actfrclimited))
         what = f"{'joint' if at < len(joints) else 'tendon'} {limited[at].name!r}"
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
     return f"{what} {where}{carried}: its load is {abs(load):.4g} {unit}, its force limit {limit:.4g} {unit}"

@@ -1,8 +1,4 @@
-"""The reactive benchmark: each policy on an arm in a scene, under each disturbance, and its summary.
-
-Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric, the path integral and
-the replanning network avoid obstacles themselves, and the tracker plays a motion that avoids them.
-"""
+"""The reactive benchmark: each policy on an arm in a scene, under each disturbance; see `summary.METHOD`."""
 
 from __future__ import annotations
 
@@ -260,9 +256,8 @@ class Reactions(Study[Reaction]):
 
     def __post_init__(self) -> None:
         check_fields(self, as_count, "seeds")
-        for name in self.policies:
-            if name not in COMPARED:
-                POLICIES.find(name)  # which adds those of files
+        for name in sorted({*self.policies} - {*COMPARED}):
+            POLICIES.find(name)  # which adds those of files
 
     def todo(self, table: Table[Reaction]) -> list[tuple[str, str, str, int]]:
         """See `Study`; seeds first, so that an early stop leaves all policies on all arms."""
