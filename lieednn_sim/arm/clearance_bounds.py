@@ -210,10 +210,6 @@ class ClearanceBounds:
             reach[rows] = (own[rows] @ self._meshes[geom].T).max(axis=1)
         return np.asarray(reach + np.vecdot(place.geoms[at, geoms], ways))
 
-    def _points(self, geoms: Ints) -> Floats:
-        """Corners ``(P, V, 3)`` of the hulls of geoms in their frames, as many as the one with the most has."""
-        return self._hulls[geoms, : self._counts[geoms].max(initial=1)]
-
     def _corners(
         self, place: Places, at: Ints, geoms: Ints, normals: Floats, alone: Floats, *ways: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
@@ -226,7 +222,8 @@ class ClearanceBounds:
             path and rest, ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
         rates, path, rest, spread = ways
-        turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
+        corners = self._hulls[geoms, : self._counts[geoms].max(initial=1)]  # of each hull as many as the largest has
+        turned = corners @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
         axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
         for joint in np.flatnonzero(self._is_ball):

@@ -156,14 +156,14 @@ class ContactFinder:
         return int(self._data.ncon)
 
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
-        """Names of the bodies and flexes closer than the margin at MuJoCo's positions ``(nq,)``."""
+        """Names, or ``body`` and id, of bodies and flexes closer than the margin at MuJoCo's positions ``(nq,)``."""
         if not self._found(qpos):
             return []
         model, kinds, contact, near = self._model, mujoco.mjtObj, self._data.contact, self._distances() < self._margin
         sides = zip(contact.geom[near].ravel().tolist(), contact.flex[near].ravel().tolist(), strict=True)
         owners = [(kinds.mjOBJ_BODY, model.geom_bodyid[k]) if k >= 0 else (kinds.mjOBJ_FLEX, j) for k, j in sides]
         # `model.body(...).name` would take as long as twenty collision passes.
-        names = [mujoco.mj_id2name(model, kind, k) or "" for kind, k in owners]
+        names = [mujoco.mj_id2name(model, kind, k) or f"{kind.name[6:].lower()} {k}" for kind, k in owners]
         return list(dict.fromkeys(zip(names[::2], names[1::2], strict=True)))
 
 

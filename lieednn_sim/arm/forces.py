@@ -92,10 +92,18 @@ def actuator_ranges(model: mujoco.MjModel, *, controls: bool = True) -> Floats:
     the ``actuatorfrcrange`` of the tendon at which an actuator pulls. Control ranges count only with ``controls``.
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
-    for a in np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)).tolist():
-        if model.tendon_actfrclimited[tendon := model.actuator_trnid[a, 0]]:
-            ranges[a] = np.clip(ranges[a], *model.tendon_actfrcrange[tendon])
+    for pulls, span in zip(*limited_tendons(model), strict=True):
+        ranges[pulls] = np.clip(ranges[pulls], *span)
     return np.clip(control_forces(model), ranges[:, :1], ranges[:, 1:]) if controls else ranges
+
+
+def limited_tendons(model: mujoco.MjModel) -> tuple[NDArray[np.bool_], Floats]:
+    """Which actuators ``(T, nu)`` pull at each tendon with an ``actuatorfrcrange``, and these ranges ``(T, 2)``."""
+    tendons = np.flatnonzero(model.tendon_actfrclimited)
+    pulls = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)) & (
+        model.actuator_trnid[:, 0] == tendons[:, None]
+    )
+    return pulls, model.tendon_actfrcrange[tendons]
 
 
 def control_forces(model: mujoco.MjModel) -> Floats:
@@ -127,13 +135,17 @@ def control_ranges(model: mujoco.MjModel) -> Floats:
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     """Least and largest force ``(n, 2)`` [N m, N] of the actuators on joints or fixed tendons on each coordinate.
 
-    The ranges of all actuators on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint bounds
-    their sum. Where a range leaves no force in one direction, the limits of the coordinate count as unknown: they are
-    infinite, as without an actuator. ``rates`` ``(nv, n)`` are the velocities of the model's dofs per unit rate of each
-    coordinate, coupled stages included.
+    The ranges of all actuators on a coordinate add up, each times its moment; the ``actuatorfrcrange`` of a joint or
+    tendon bounds their sum. Where a range leaves no force in one direction, the limits of the coordinate count as
+    unknown: they are infinite, as without an actuator. ``rates`` ``(nv, n)`` are the velocities of the model's dofs per
+    unit rate of each coordinate, coupled stages included.
     """
     moments = constant_moments(model)
     single = actuator_ranges(model)
+    for pulls, span in zip(*limited_tendons(model), strict=True):
+        # MuJoCo makes the forces of all actuators at a tendon smaller by one factor.
+        total = single[pulls].sum(axis=0)
+        single[pulls] *= np.divide(np.clip(total, *span), total, where=total != 0.0, out=np.ones(2))
     on_dofs, together = _sum_of_ranges(moments, single), _sum_of_ranges(moments @ rates, single)
     limited = np.flatnonzero(model.jnt_actfrclimited)
     dofs, bounds = model.jnt_dofadr[limited], model.jnt_actfrcrange[limited]

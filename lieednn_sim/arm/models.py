@@ -64,6 +64,8 @@ def find_model(arm: StrPath, options: ImportOptions) -> ModelFile:
     and the rest are `ImportOptions`; ``options`` take precedence over them. `FileError` if there is no such
     description, or it is malformed; `InputError` if the arm is unknown, or one of the package, with options.
     """
+    if isinstance(arm, str) and arm.lstrip().startswith("<"):
+        raise InputError("an arm needs a path, got the text of a model: Arm.from_spec(mujoco.MjSpec.from_string(text))")
     path = as_path("the name of an arm", arm)
     suffix = path.suffix.lower()
     if suffix == ".xacro":

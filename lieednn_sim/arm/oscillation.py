@@ -90,9 +90,13 @@ class PassiveJoints:
         load, solid, drawn = self.bodies[body], (types | affinities) != 0, model.geom_group < 3
         still = moved_together(model, np.append(self.arm.dofs, self.dofs))[body] == 0
         shown = drawn & ~np.isin(body, body[solid])
-        # Each direction of the filter, which has 31 bits, gets bits of its own.
-        model.geom_contype[:] = np.where(load, types | affinities << 15 | shown.astype(int) << 30, 0)
-        model.geom_conaffinity[:] = np.where(still, affinities | types << 15 | (solid & drawn).astype(int) << 30, 0)
+        kinds, kind = np.unique(np.stack([types, affinities, solid & drawn])[:, still], axis=1, return_inverse=True)
+        meets = (types[:, None] & kinds[1]) | (affinities[:, None] & kinds[0]) | (shown[:, None] & kinds[2])
+        # Each kind of what does not move gets a bit of its own; any beyond the 31 of MuJoCo's filter share the last.
+        bits = 1 << np.minimum(np.arange(kinds.shape[1]), 30)
+        model.geom_contype[:] = load * np.bitwise_or.reduce(bits * (meets != 0), axis=1, initial=0)
+        model.geom_conaffinity[:] = 0
+        model.geom_conaffinity[still] = bits[kind.ravel()]
         return model
 
     def moved(self, qpos: Floats, by: Floats) -> Floats:

@@ -134,8 +134,8 @@ class Planning(Goal):
 
     Attributes:
         planner: one of your own as FILE.py:FUNCTION, or a name of `PLANNERS` (default:
-            lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or where three hinges move a
-            link).
+            lieednn-certified; lieednn-shaped among obstacles, an imported arm's floor included, with --path-constraint,
+            or where three hinges move a link).
         option: an option of the planner; --planner NAME --help lists them.
         path_constraint: line or orientation: keep the end effector on a straight line, or at its orientation.
         fastest: follow the planned path as fast as the arm's limits allow.
@@ -217,7 +217,7 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
         if not (seed.isascii() and seed.isdecimal()):
             raise InputError(f"a random {what} must look like {RANDOM}7, with a seed >= 0, got {text!r}")
         return draw_target(arm, int(seed))
-    if text in arm.keyframes or (text and (text[0].isalpha() or text[0] == "_")):
+    if text in arm.keyframes or ((text[:1].isalpha() or text[:1] == "_") and "," not in text):
         return arm.keyframe(text)
     try:
         return np.array(numbers(text, arm.n_joints))

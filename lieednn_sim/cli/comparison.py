@@ -12,11 +12,11 @@ from lieednn_sim.arm.obstacles import describe, load_obstacles
 from lieednn_sim.cli.console import console, print_import_report, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.registry import CONTROLLERS, PLANNERS
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.studies import Case, Comparison, Row, Table, compute, write_summary
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
-from lieednn_sim.studies.reactions.study import Reactions
+from lieednn_sim.studies.reactions.study import COMPARED, Reactions
 from lieednn_sim.studies.reactions.summary import write_reactions
 from lieednn_sim.studies.report import View, choose_problems, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm
@@ -32,6 +32,7 @@ def compare(
     output: Directory = "results/comparison",
     jobs: int | None = None,
     reactive: int = 0,
+    policy: tuple[str, ...] = (),
     views: int = 1,
     date: str = "",
     shard: str | None = None,
@@ -47,6 +48,7 @@ def compare(
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
         reactive: number of seeds for a benchmark of policies under pushes, loads and new targets; 0 for none.
+        policy: a further policy for --reactive: one of your own as FILE.py:FUNCTION, or a name of `POLICIES`.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
         shard: run only part K of N parts of the cases, given as K/N.
@@ -58,6 +60,10 @@ def compare(
     seeds, problems = as_count("reactive", reactive, least=0), as_count("views", views, least=0)
     if study.shard is not None and (seeds or merge):
         raise InputError("--shard makes only a part of the table; it takes no --reactive or --merge")
+    if policy and not seeds:
+        raise InputError("--policy adds to the benchmark of --reactive, which needs a number of seeds")
+    ran = tuple(dict.fromkeys((*COMPARED, *policy)))
+    pushed = Reactions(study.arms, study.scenes, seeds, ran, study.user_files) if seeds else None
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     # Several shards may grow one table.
@@ -66,15 +72,14 @@ def compare(
         if merge:
             table = merge_tables(directory, merge)
         else:
-            _print_found(study)
+            _print_found(study, policy)
             with progress("compare"):
                 table = compute(study, directory, **how)
         if study.shard is not None:
             wrote(table.path)
             return
         reactions = None
-        if seeds:
-            pushed = Reactions(study.arms, study.scenes, seeds, user_files=study.user_files)
+        if pushed is not None:
             with progress("reactions"):
                 reactions = compute(pushed, directory, **how)
         controller = study.controllers[0]
@@ -93,15 +98,15 @@ def compare(
     wrote(table.path, *outputs)
 
 
-def _print_found(study: Comparison) -> None:
-    """Print the user's own arms, scenes, planners and controllers in a comparison."""
+def _print_found(study: Comparison, policies: Sequence[str]) -> None:
+    """Print the user's own arms, scenes, planners, controllers and policies in a comparison."""
     for file in study.user_files:
         arm = bare_arm(file.source) if file.kind == ARM else None
         what = f"{arm.n_links} links, {arm.n_joints} joints" if arm else describe(load_obstacles(file.source))[0]
         console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
         if arm:
             print_import_report(arm)
-    for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers):
+    for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers) + POLICIES.origins(policies):
         console.print(line, markup=False)
 
 

@@ -19,6 +19,7 @@ from lieednn_sim.arm.forces import (
 )
 from lieednn_sim.arm.limits import largest_inertia
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.planning.statics import TooWeakError, check_held
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.values import Floats
@@ -53,7 +54,12 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
         far = f"a link ends {1e3 * off[0]:.3g} mm and {np.rad2deg(off[1]):.3g} degrees from where the joints have it"
         lines = [f"{far}: what carries the arm has moved, or an equality of the model gives way"]
     ranked = np.argsort(-matters, kind="stable")[: max(1 - len(lines), int((matters > 1.0).sum()))]
-    result, helpful = _reasons(rollout, error)
+    slower = "a longer duration"
+    try:
+        check_held(arm, np.stack([target, rollout.q_ref[-1]]), ["the target", "the end of its reference"])
+    except TooWeakError as weak:  # in any time
+        lines, slower = [*lines, str(weak)], "another target, or a smaller load"
+    result, helpful = _reasons(rollout, error, slower)
     lines += [
         f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
@@ -64,8 +70,8 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     return (*lines, f"what helps: {', or '.join(help_with)}") if help_with else tuple(lines)
 
 
-def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[list[str]]]:
-    """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
+def _reasons(rollout: Rollout, error: Floats, slower: str) -> tuple[list[list[str]], list[list[str]]]:
+    """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies; ``slower`` is one."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
     kp, _ = servo_gains(model, basis)
     load = np.abs(required_forces(model, rollout.qpos[-1:])[0] @ basis)
@@ -91,7 +97,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     for j, off in enumerate(np.abs(error)):
         if abs(aim := rollout.q_ref[-1, j] - rollout.target[j]) > _LEAST_EXPLAINED * off:
             reasons[j].append(f"its reference ends {arm.amount(j, aim)} off")
-            helpful[j] += ["a longer duration", "the end of the reference as the target, if it was to go there"]
+            helpful[j] += [slower, "the end of the reference as the target, if it was to go there"]
             continue
         unit = "N" if arm.unit(j) == "m" else "N m"
         stiffer = [design] if arm.import_report is not None and arm.import_report.servos[j].kept else []
@@ -108,7 +114,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
             share, first = f"{100 * full[:, j].mean():.2g} %", rollout.t[full[:, j].argmax()]
             reached = f"is reached in {share} of the time, first at t = {first:.2f} s"
             reasons[j].append(f"its force limit of {limits[j]:.3g} {unit} {reached}")
-            helpful[j].append("a longer duration")
+            helpful[j].append(slower)
         for a in np.flatnonzero(ended[:, j] & (rollout.controller != "computed-torque")):
             reasons[j].append(f"its servo's control is at the end of its control range [{low[a]:.4g}, {high[a]:.4g}]")
             helpful[j].append("another target")

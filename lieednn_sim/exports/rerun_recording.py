@@ -25,21 +25,17 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     the end effector; and over time ``/joints/<coordinate>/planned`` and ``/measured`` [rad, m], ``/tracking_error`` of
     the end effector [m], and the number of ``/contacts``. A file is written, and nothing is sent anywhere.
     """
+    # The scene beside the curves; without a layout, the viewer would make a plot for each curve.
+    plots = (rrb.TimeSeriesView(origin=f"/{name}", name=name) for name in ("joints", "tracking_error", "contacts"))
+    scene = rrb.Spatial3DView(origin="/", contents=["/scene/**", "/planned_path", "/target"], name="scene")
+    shown = rrb.Horizontal(scene, rrb.Vertical(*plots, row_shares=[3, 1, 1]), column_shares=[3, 2])
     for name, rollout in rollouts.items():
         with rr.RecordingStream("lieednn_sim", recording_id=name, send_properties=False) as stream:
-            stream.save(folder / f"{name}.rrd", _layout())
+            stream.save(folder / f"{name}.rrd", rrb.Blueprint(shown))
             stream.send_recording_name(name)
             _write(stream, rollout, samples(rollout, rate))
             stream.flush()
             stream.disconnect()
-
-
-def _layout() -> rrb.Blueprint:
-    """The scene beside the curves; without a layout, the viewer would make a plot for each curve."""
-    plots = (rrb.TimeSeriesView(origin=f"/{name}", name=name) for name in ("joints", "tracking_error", "contacts"))
-    curves = rrb.Vertical(*plots, row_shares=[3, 1, 1])
-    scene = rrb.Spatial3DView(origin="/", contents=["/scene/**", "/planned_path", "/target"], name="scene")
-    return rrb.Blueprint(rrb.Horizontal(scene, curves, column_shares=[3, 2]))
 
 
 def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:

@@ -47,9 +47,7 @@ def vee(matrix: ArrayLike) -> Floats:
     if array.shape[-2:] not in ((3, 3), (4, 4)):
         raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {array.shape}")
     omega = 0.5 * (array[..., [2, 0, 1], [1, 2, 0]] - array[..., [1, 2, 0], [2, 0, 1]])
-    if array.shape[-1] == 3:
-        return omega
-    return np.concatenate([omega, array[..., :3, 3]], axis=-1)
+    return omega if array.shape[-1] == 3 else np.concatenate([omega, array[..., :3, 3]], axis=-1)
 
 
 def exp(twist: ArrayLike) -> RigidTransform:

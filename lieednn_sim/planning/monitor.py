@@ -71,7 +71,7 @@ class ClearanceMonitor:
         leaves = f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s:"
         slack = 0.0 if qpos is None else 2.0 * displaced(self._arm, q[None], qpos[None])
         if not slack < MOVED:
-            return f"{leaves} more has moved than the arm"
+            return f"{leaves} more has moved than the arm; if other joints sag, make the arm of a state at rest"
         if isinstance(bounds := self._bounds, str):
             return f"{leaves} {bounds}"
         end = min(at, self._last)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.budget import cpu_time, default_limit, one_blas_thread
 from lieednn_sim.entries import PlannerEntry
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
@@ -92,9 +93,15 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     """Name of the default planner for an arm in its scene, and the reason for the choice.
 
     Where three or more hinges move one link, the arm often cannot follow a network's own path, since the configuration
-    nearest to it changes abruptly. There, and among obstacles, the default planner follows a guide's motion.
+    nearest to it changes abruptly. There, and among obstacles, the default planner follows a guide's motion. Obstacles
+    of an imported arm are also its floor, and whatever else of its model stands beside it.
     """
-    if arm.scene != "free" or arm.state is not None:
+    among = arm.scene != "free" or arm.state is not None
+    if arm.import_report is not None and not among:
+        collisions = Collisions(arm)
+        robots = arm.geometry.body_rootid[arm.geometry.geom_bodyid[collisions.pairs[~collisions.own]]]
+        among = bool((robots[:, 0] != robots[:, 1]).any())
+    if among:
         return OBSTACLE_PLANNER, "the default among obstacles"
     hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
     redundant = 3  # hinges that move one link

@@ -13,6 +13,7 @@ from lieednn_sim.arm.forces import (
     actuator_ranges,
     control_forces,
     dry_friction,
+    limited_tendons,
     lost_forces,
     required_forces,
 )
@@ -144,8 +145,8 @@ def _bounds(arm: Arm) -> tuple[Floats, Floats]:
     low, high = np.stack([-most, most])
     if not _simple(arm):
         model = arm.model
-        sums = model.jnt_actfrcrange[model.jnt_actfrclimited != 0]
-        ranges = actuator_ranges(model, controls=False), control_forces(model), sums
+        sums = model.jnt_actfrcrange[model.jnt_actfrclimited != 0], limited_tendons(model)[1]
+        ranges = actuator_ranges(model, controls=False), control_forces(model), *sums
         low, high = np.concatenate([[low, high], *(each.T for each in ranges)], axis=1)
     return np.minimum(low, -_LEAST), np.maximum(high, _LEAST)
 
@@ -161,7 +162,7 @@ def needed_forces(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, q
     """Forces needed at configurations q ``(S, n)``, with dry friction against rates qd, and their bounds ``(2, S, m)``.
 
     They are generalised forces along the coordinates. Where limits of these do not say all, such as in closed loops or
-    with tendons that pull at several joints, those of all actuators and at joints with a limited sum of forces follow.
+    with tendons that pull at several joints, those of all actuators and limited sums at joints and tendons follow.
     """
     qpos = arm.qpos(q)  # with rates of what is carried, forces include those on it
     basis = arm.moving(qpos) if arm.grasp is None else arm.unit_rates(q)
@@ -178,9 +179,9 @@ def _with_bounds(arm: Arm, needed: Floats, basis: Floats, qvel: Floats | float) 
         # The actuator forces of least norm that have this effect.
         moments = actuator_moments(model)
         exerted = np.matvec(np.linalg.pinv(np.swapaxes(moments @ basis, -1, -2)), needed)
-        sums = exerted @ moments[:, model.jnt_dofadr[model.jnt_actfrclimited != 0]]
+        at_joints, at_tendons = moments[:, model.jnt_dofadr[model.jnt_actfrclimited != 0]], limited_tendons(model)[0].T
         controlled = exerted + lost_forces(model) * np.matvec(moments, qvel + np.zeros(model.nv))
-        needed = np.concatenate([needed, exerted, controlled, sums], axis=1)
+        needed = np.concatenate([needed, exerted, controlled, exerted @ at_joints, exerted @ at_tendons], axis=1)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
 
 
@@ -206,6 +207,8 @@ def _overload(arm: Arm, j: int, where: str, load: float, limit: float) -> str:
     elif j < n + 2 * model.nu:
         what, where = f"actuator {model.actuator((j - n) % model.nu).name!r}", where.replace("be held", "hold")
     else:
-        what = f"joint {model.joint(int(np.flatnonzero(model.jnt_actfrclimited)[j - n - 2 * model.nu])).name!r}"
+        at, joints = j - n - 2 * model.nu, np.flatnonzero(model.jnt_actfrclimited)
+        limited = *map(model.joint, joints), *map(model.tendon, np.flatnonzero(model.tendon_actfrclimited))
+        what = f"{'joint' if at < len(joints) else 'tendon'} {limited[at].name!r}"
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
     return f"{what} {where}{carried}: its load is {abs(load):.4g} {unit}, its force limit {limit:.4g} {unit}"

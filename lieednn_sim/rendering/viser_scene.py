@@ -34,7 +34,8 @@ class Shapes:
     def __init__(self, model: mujoco.MjModel) -> None:
         conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
         data = kinematics_at(model, model.qpos0)
-        _find_tendons(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
         self.model = model
         self.shapes: list[Shape] = []
         # Ids of planes, which are infinite floors, and of tendons by their colour and radius [m].
@@ -125,7 +126,8 @@ class ModelNodes:
             node.position = np.round(data.xpos[body] / _RESOLUTION) * _RESOLUTION
             node.wxyz = np.round(data.xquat[body] / _RESOLUTION) * _RESOLUTION
         if self.tendons:
-            _find_tendons(self.model, data)
+            mujoco.mj_comPos(self.model, data)
+            mujoco.mj_tendon(self.model, data)
         for node, tendons in self.tendons:
             pieces = np.concatenate([_pieces(data, tendon) for tendon in tendons])
             node.points = np.round(pieces / _RESOLUTION) * _RESOLUTION
@@ -150,12 +152,6 @@ def segments(points: Floats) -> Floats:
 def add_path(scene: Any, name: str, points: Floats, rgba: tuple[float, ...], radius: float) -> Any:
     """Draw a path ``(K, 3)`` in the colour ``rgba`` and return its node, whose ``points`` are its `segments`."""
     return scene.add_line_segments(name, segments(points), rgba[:3], thickness=2.0 * radius)
-
-
-def _find_tendons(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Compute where tendons are, from the frames of the bodies."""
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_tendon(model, data)
 
 
 def _pieces(data: mujoco.MjData, tendon: int) -> Floats:

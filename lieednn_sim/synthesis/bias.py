@@ -49,9 +49,7 @@ def _least_strength(xi: Floats, outputs: Floats, magnitude: float) -> float:
         work = outputs * (xi - np.clip(xi, -strength, strength) - _AIM * outputs)
         return -float(np.minimum(work, 0.0).sum() + _HELP * np.maximum(work, 0.0).sum())
 
-    if surplus(magnitude) >= 0.0:
-        return magnitude
-    return float(brentq(surplus, magnitude, float(np.abs(xi).max())))
+    return magnitude if surplus(magnitude) >= 0.0 else float(brentq(surplus, magnitude, float(np.abs(xi).max())))
 
 
 def equation_columns(xi: Floats) -> list[slice]:

@@ -211,6 +211,8 @@ def test_joints_that_are_no_part_of_the_arm_stay_at_home(tmp_path, keys, rest):
 
 
 def test_errors_name_what_is_allowed(arm, tmp_path):
+    with pytest.raises(InputError, match=r"the text of a model: Arm.from_spec\(mujoco.MjSpec.from_string\(text\)\)"):
+        Arm.load("\n<mujoco><worldbody/></mujoco>")
     with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_crane"):
         Arm.load("nonsense")
     with pytest.raises(InputError, match=r"no keyframe 'away'.*home"):

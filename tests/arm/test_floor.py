@@ -10,7 +10,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.errors import InputError, NoSolutionError, PlanError
+from lieednn_sim.planning import default_planner, plan
 from lieednn_sim.rendering import scene_setup
 
 ARM = """
@@ -129,3 +130,17 @@ def test_a_film_shows_that_floor_or_none(write):
         model, _ = scene_setup.staged(arm, scene_setup.reached(arm))
         planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         assert model.body_pos[model.geom_bodyid[planes], 2].tolist() == heights
+
+
+def test_the_default_planner_goes_around_what_stands_beside_an_imported_arm(write):
+    post = '<geom name="post" type="box" size=".03 .03 .3" pos=".4 0 .3"/>'
+    arm = Arm.load(write(post), home={"a": -1.0}, floor="none")
+    with pytest.raises(PlanError, match="'two' would come within 2 mm of 'world' at t = "):
+        plan(arm, [1.0, 0.0], planner="lieednn-certified")
+    planned = plan(arm, [1.0, 0.0])
+    assert planned.planner == "lieednn-shaped"
+    assert planned.clearance.proved
+    # A floor counts, the robot's own foot does not.
+    assert default_planner(Arm.load(write())) == ("lieednn-shaped", "the default among obstacles")
+    assert default_planner(Arm.load(write(), floor="none"))[0] == "lieednn-certified"
+    assert default_planner(Arm.load("telescopic_pr"))[0] == "lieednn-certified"

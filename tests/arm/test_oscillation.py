@@ -6,6 +6,7 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import colliding_pairs
 from lieednn_sim.arm.oscillation import PassiveJoints, with_load
 from lieednn_sim.errors import NoSolutionError
 
@@ -92,3 +93,22 @@ def test_the_import_report_has_the_hook_s_oscillations():
         report = ls.Arm.load(ls.arm.scene_path("telescopic_crane"), tip="end_effector").import_report
     assert [mode.joint for mode in report.modes] == ["swing_along", "swing_across"]
     assert "oscillates: swing_along 0.665 Hz" in str(report)
+
+
+@pytest.mark.parametrize("highest", [14, 30])
+def test_a_load_meets_what_it_meets_by_the_filter_of_the_model_whatever_its_bits(highest):
+    rng = np.random.default_rng(highest)
+    boxes = "".join(f'<geom type="box" size=".1 .1 .1" pos="{x} 0 9"/>' for x in range(40))
+    xml = gantries.xml(
+        gantries.PENDULUM.replace('contype="0" conaffinity="0"/>', '/><geom size=".1"/><geom size=".2"/>')
+    )
+    model = mujoco.MjModel.from_xml_string(xml.replace('<body name="cart"', f'{boxes}<body name="cart"'))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["cart"], tip="tip")
+    for field in (arm.model.geom_contype, arm.model.geom_conaffinity):
+        field[:] = 1 << rng.integers(highest - 4, highest + 1, arm.model.ngeom) | 1 << highest - 5
+        field[rng.random(arm.model.ngeom) < 0.5] = 0
+    hangs = PassiveJoints(arm).bodies[arm.model.geom_bodyid]
+    still = arm.model.geom_bodyid == 0
+    pairs = {tuple(p) for p in colliding_pairs(arm.model).tolist() if hangs[p].any() and still[p].any()}
+    assert {*map(tuple, colliding_pairs(PassiveJoints(arm).load_model).tolist())} == pairs
+    assert 10 < len(pairs) < 110

@@ -292,3 +292,17 @@ def test_a_welded_tool_is_held_and_one_that_is_not_lies_in_the_way():
 def test_joints_that_are_no_arm_are_named(xml, joints, tip, message):
     with pytest.raises(InputError, match=message):
         ls.Arm.of(*made(xml), joints, tip=tip)
+
+
+def test_bodies_without_names_are_told_apart_by_their_numbers():
+    ball = '<geom size=".1" mass="1"/></body>'
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>{ball}
+        <body pos=".201 0 0"><freejoint/>{ball}<body name="post" pos="-.6 0 0">{ball}</worldbody></mujoco>"""
+    )
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["x"])
+    assert arm.near_contacts([0.0]) == [("body 1", "body 2")]
+    with pytest.raises(InputError, match=r"'body 1' would touch 'body 2' there, 9 mm deep$"):
+        arm.check_reachable([0.01])
+    with pytest.raises(InputError, match="'body 1' would touch 'post'"):
+        arm.check_reachable([-0.5])

@@ -12,7 +12,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.evaluation import evaluate
 from lieednn_sim.evaluation.diagnosis import error_causes
 from lieednn_sim.planning import plan
-from lieednn_sim.simulation import Disturbances, simulate
+from lieednn_sim.policies import make_policy
+from lieednn_sim.simulation import Disturbances, follow, simulate
 
 HOIST = """
 <mujoco><option timestep=".002"/>
@@ -116,6 +117,18 @@ def test_a_servo_that_would_have_to_be_told_more_than_its_control_range_is_named
     assert found[0].startswith("joint 'lift' ends 9.81 mm off")
     assert found[0].endswith("0 degrees: its servo's control is at the end of its control range [-1, 0.4]")
     assert found[1:] == ("what helps: another target",)
+
+
+def test_time_does_not_help_a_policy_whose_arm_cannot_bear_its_payload():
+    hoist = {"drive": "", "lift": "", "force": "", "compensation": 0, "kp": 2000, "kv": 90}
+    spec = mujoco.MjSpec.from_string(HOIST.format(**hoist, control='forcerange="-20 20"'))
+    arm = Arm.from_spec(spec, floor="none").with_payload(3.0)
+    policy = make_policy("linear-attractor", arm, [0.5, 0.4])
+    first, *_, helps = evaluate(follow(policy, [0.5, 0.4], 1.0).rollout).causes
+    held = "joint 'lift' cannot be held at the target with a payload of 3 kg: its load is 39.24 N, its force limit 20 N"
+    assert first == held
+    assert helps.startswith("what helps: another target, or a smaller load")
+    assert "duration" not in helps
 
 
 def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):

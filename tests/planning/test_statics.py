@@ -164,6 +164,28 @@ def test_actuators_that_only_push_and_tendons_have_limits(drive, what):
         ls.plan(arm, [0.5], planner="minimum-jerk", payload=2.0)
 
 
+@pytest.mark.parametrize("other", ["99", "20"])
+def test_actuators_at_one_limited_tendon_share_its_force(other):
+    """A cart of 1 kg on two winches; MuJoCo clips the sum of their forces, wherever they stand."""
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><option gravity="0 0 0"/><worldbody><body name="cart">
+        <joint name="x" type="slide" axis="1 0 0" range="-1 1"/><joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
+        <geom size=".1" mass="1"/></body></worldbody><tendon>
+        <fixed name="rope" actuatorfrclimited="true" actuatorfrcrange="-30 30"><joint joint="x" coef="1"/></fixed>
+        <fixed name="both"><joint joint="x" coef="1"/><joint joint="y" coef="1"/></fixed></tendon>
+        <actuator><motor tendon="rope" ctrlrange="-99 99"/><motor tendon="rope" ctrlrange="-{other} {other}"/>
+        <motor tendon="both" ctrlrange="-50 50"/></actuator></mujoco>""")
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 99.0
+    mujoco.mj_forward(model, data)
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["x", "y"], limits={name: {"acceleration": 999.0} for name in "xy"})
+    np.testing.assert_allclose(arm.force_limits, data.qfrc_actuator)  # 30 + 50 and 50
+    # y at rest takes nothing of the third winch, so that x has the rope alone.
+    with pytest.raises(TooFastError, match=r"tendon 'rope' would be overloaded .* its force limit 30 N"):
+        ls.plan(arm, [0.9, 0.0], planner="minimum-jerk", duration=(0.3, 0.3))
+    motion = ls.plan(arm, [0.9, 0.0], planner="minimum-jerk", duration=(0.3, 2.0)).motion
+    assert 28.0 < np.abs(np.diff(motion.qd[:, 0])).max() / motion.timestep < 30.0
+
+
 DAMPED = 'gainprm="100" biastype="affine" biasprm="0 0 -{0}" ctrlrange="-1 1"'
 
 

@@ -146,7 +146,9 @@ class ProbabilisticPrimitive:
         shown, scale = shown_part(dof), demonstrations.scale[shown_part(dof)]
         n_basis = max(2, round(n_parameters / dof))
         phases = np.linspace(0.0, 1.0, _INSTANTS)
-        basis = _gaussians(n_basis, phases)
+        # Gaussians (K, B), normalised after they were 0.7 at 1/(2B) from their centres, about half way to the next.
+        psi = np.exp(4.0 * n_basis**2 * np.log(0.7) * (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2)
+        basis = psi / psi.sum(axis=1, keepdims=True)
         paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, phases))[..., shown] * scale
         ridge = 1e-12  # added to the squared singular values of the least squares
         inverse = np.linalg.pinv(basis.T @ basis + ridge * np.eye(n_basis)) @ basis.T
@@ -171,11 +173,3 @@ class ProbabilisticPrimitive:
         paths = self.path + np.einsum("kij,nj->nki", self.response, begin)
         path = twist_of(at_times(paths, np.linspace(0.0, self.duration, _INSTANTS), t))
         return path.reshape(*start.shape[:-1], len(t), 6)
-
-
-def _gaussians(n_basis: int, phases: Floats) -> Floats:
-    """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
-    squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
-    # Before normalisation they are 0.7 at 1/(2B) from their centres, about half way to the next.
-    psi = np.exp(4.0 * n_basis**2 * np.log(0.7) * squared)
-    return psi / psi.sum(axis=1, keepdims=True)

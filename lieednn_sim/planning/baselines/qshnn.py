@@ -80,8 +80,8 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
             refusal = refusal or result.message
             continue
         try:
-            path = path_of(problem, joints, result.network, options.waypoints)
-            return in_time(_motion, problem, path, options.bend)
+            way = path_of(problem, joints, result.network, options.waypoints), 1, options.bend
+            return in_time(lambda asked, *way: joint_motion(asked, *smoothed(asked, *way)), problem, *way)
         except PlanError as error:
             refusal = str(error)
     raise PlanError(f"no quaternion network of {options.networks} can be used: {refusal}")
@@ -148,7 +148,3 @@ def path_of(problem: PlanningProblem, joints: JointQuaternions, network: Hopfiel
     length = travelled(q / joint_scale(problem.arm))
     even = np.linspace(0.0, length[-1], count)
     return np.stack([np.interp(even, length, joint) for joint in q.T], axis=1)
-
-
-def _motion(problem: PlanningProblem, path: Floats, bend: float) -> Motion:
-    return joint_motion(problem, *smoothed(problem, path, 1, bend))

@@ -1,7 +1,4 @@
-"""The comparison of planners: arms, scenes, planners, controllers and seeds in one table.
-
-A case is an arm in a scene, a planner and a seed, planned once and tracked by each controller.
-"""
+"""The comparison of planners: arms, scenes, planners, controllers and seeds in one table; for its cases see `case`."""
 
 from __future__ import annotations
 
@@ -60,8 +57,6 @@ class Shard:
 @dataclass(frozen=True)
 class Comparison(Study[Row]):
     """The study of `compare`: all combinations of planners, arms, scenes, controllers and seeds.
-
-    An empty list means all planners, `DEFAULT_ARMS`, `DEFAULT_SCENES` and `DEFAULT_CONTROLLERS`.
 
     A case is planned once for all controllers. Cases of one arm among the same obstacles follow each other, slow
     planners first, so that a worker loads the arm once.

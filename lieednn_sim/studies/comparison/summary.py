@@ -27,10 +27,7 @@ _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 def write_summary(path: StrPath, table: Table[Row], missing: Mapping[str, str] | None = None) -> None:
     """Write success and medians by arm, scene, planner and controller, and the reasons of failures.
 
-    Args:
-        path: the file to write.
-        table: table of the comparison.
-        missing: planners that could not be compared, with the reason.
+    Planners ``missing`` could not be compared, with the reason.
     """
     rows = list(table.rows.values())
     of_motion = [column for column in COLUMNS if column.of_motion and column.name not in _NOT_SUMMARISED]

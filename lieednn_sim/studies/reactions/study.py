@@ -1,8 +1,4 @@
-"""The reactive benchmark: each policy on an arm in a scene, under each disturbance, and its summary.
-
-Among obstacles, networks, primitives and the linear attractor use the safety filter; the fabric, the path integral and
-the replanning network avoid obstacles themselves, and the tracker plays a motion that avoids them.
-"""
+"""The reactive benchmark: each policy on an arm in a scene, under each disturbance; see `summary.METHOD`."""
 
 from __future__ import annotations
 
@@ -24,6 +20,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
 from lieednn_sim.policies.making import FOLLOWERS
+from lieednn_sim.registry import POLICIES
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.case import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
@@ -62,7 +59,7 @@ class Reaction(TableRow):
 
     Attributes:
         arm, scene: names; together with the next three, the key of the row.
-        policy, disturbance: names of `COMPARED` and of `DISTURBANCES`.
+        policy, disturbance: names of `COMPARED` or `POLICIES`, and of `DISTURBANCES`.
         seed: seed of target, obstacles and disturbance.
         success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
         reason: why the rollout failed; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
@@ -114,8 +111,8 @@ class Task:
     seed: int  # of target, obstacles, disturbances and policies
 
     def policy(self, name: str, *, obstructed: bool = False) -> Policy:
-        """A policy of `COMPARED` for this task, or for one with a moving obstacle."""
-        kind, options, filtered = COMPARED[name]
+        """A policy for this task, or for one with a moving obstacle; those of users get no safety filter."""
+        kind, options, filtered = COMPARED.get(name) or ComparedPolicy(name, filtered=POLICIES.find(name).own)
         goal = Plan(self.motion, target=self.target) if kind in FOLLOWERS else self.target
         policy = make_policy(kind, self.arm, goal, rate=100.0, convergence_rate=2.0, options=options, seed=self.seed)
         if filtered and (obstructed or self.scene != FREE):
@@ -254,11 +251,13 @@ class Reactions(Study[Reaction]):
     arms: Sequence[str]  # names
     scenes: Sequence[str]
     seeds: int  # number of them, starting at 0
-    policies: Sequence[str] = tuple(COMPARED)  # names of `COMPARED`
+    policies: Sequence[str] = tuple(COMPARED)  # names of `COMPARED` or `POLICIES`, or ``file.py:function``
     user_files: UserFiles = ()  # arms and scenes from files, by their names; see `Comparison.user_files`
 
     def __post_init__(self) -> None:
         check_fields(self, as_count, "seeds")
+        for name in sorted({*self.policies} - {*COMPARED}):
+            POLICIES.find(name)  # which adds those of files
 
     def todo(self, table: Table[Reaction]) -> list[tuple[str, str, str, int]]:
         """See `Study`; seeds first, so that an early stop leaves all policies on all arms."""

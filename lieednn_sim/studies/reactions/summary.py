@@ -48,7 +48,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     """Groups of `posed` rows over arms and seeds, sorted by their keys: scene, disturbance and policy."""
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
     result = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
-    result.sort(key=lambda item: (item.key[0], order[item.key[1]], order[item.key[2]]))
+    result.sort(key=lambda item: (item.key[0], order[item.key[1]], order.get(item.key[2], len(order)), item.key[2]))
     return [ReactionGroup(item.key, item.rows) for item in result]
 
 

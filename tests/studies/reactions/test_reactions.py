@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.policies import Fabric, FilteredPolicy, make_policy
+from lieednn_sim.registry import POLICIES
 from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import study, summary
@@ -161,6 +164,24 @@ def test_a_task_shows_the_guides_motion_and_filters_among_obstacles(scene, taugh
         policy = found.policy(name)
         assert (policy.rate, asked[-1]["convergence_rate"]) == (100.0, 2.0)
         assert isinstance(policy, FilteredPolicy) == (scene != "free" and name in ("linear-attractor", "dmp"))
+
+
+def test_policies_of_users_run_as_they_are_and_come_last(task, tmp_path, monkeypatch):
+    monkeypatch.setattr(POLICIES, "entries", dict(POLICIES.entries))
+    monkeypatch.setattr("sys.path", [*sys.path])
+    own = f"{tmp_path / 'somebodys_policies.py'}:mine"
+    (tmp_path / "somebodys_policies.py").write_text(
+        "from lieednn_sim.policies import Fabric\ndef mine(task):\n    return Fabric(task.arm, task.rate)\n"
+    )
+    with pytest.raises(InputError, match="no policy 'theirs'"):
+        study.Reactions(["telescopic_pr"], ["free"], 1, ("dmp", "theirs"))
+    assert study.Reactions(["telescopic_pr"], ["free"], 1, (own, "dmp")).policies == (own, "dmp")
+    assert type(dataclasses.replace(task, scene="poles").policy(own)) is Fabric
+    monkeypatch.setattr(study, "_task", lambda *case: task)
+    rows = study.run_reactions("gantry", "free", own, 3)
+    assert rows[0].success
+    rows += study.failed_reactions("gantry", "free", "tracker", 3, "plan: none")
+    assert [group.key[2] for group in summary.groups(rows)][:2] == ["tracker", own]
 
 
 def test_a_pole_walks_into_the_way_but_into_no_arm(gantry):
