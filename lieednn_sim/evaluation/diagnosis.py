@@ -18,6 +18,7 @@ from lieednn_sim.arm.forces import (
     tangent_basis,
 )
 from lieednn_sim.arm.limits import largest_inertia
+from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.planning.statics import TooWeakError, check_held
 from lieednn_sim.simulation import Rollout
@@ -59,6 +60,8 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
         check_held(arm, np.stack([target, rollout.q_ref[-1]]), ["the target", "the end of its reference"])
     except TooWeakError as weak:  # in any time
         lines, slower = [*lines, str(weak)], "another target, or a smaller load"
+    except NoSolutionError:  # a loop does not close there
+        pass
     result, helpful = _reasons(rollout, error, slower)
     lines += [
         f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
