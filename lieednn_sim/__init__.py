@@ -1,16 +1,9 @@
 """The front door: the names that most programs need, to plan, simulate, render and evaluate an arm's motion.
 
-::
-
-    import lieednn_sim as ls
-
-    arm = ls.Arm.load("telescopic_pr")
-    plan = ls.plan(arm, "extended")
-    rollout = ls.simulate(arm, plan)
-
-Each name is imported when it is first used. Everything else is in the subpackages: `lie`, `stability`, `network`,
-`theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`, `simulation`, `rendering`, `evaluation`,
-`studies`, `environments`, `exports`, `live`, `cli`.
+With ``import lieednn_sim as ls`` and ``arm = ls.Arm.load("telescopic_pr")``, ``plan = ls.plan(arm, "extended")`` plans
+a motion and ``ls.simulate(arm, plan)`` simulates it. Each name is imported when it is first used. Everything else is in
+the subpackages: `lie`, `stability`, `network`, `theory`, `synthesis`, `learning`, `arm`, `planning`, `policies`,
+`simulation`, `rendering`, `evaluation`, `studies`, `environments`, `exports`, `live`, `cli`.
 """
 
 from __future__ import annotations

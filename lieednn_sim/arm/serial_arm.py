@@ -23,6 +23,9 @@ from lieednn_sim.values import Floats, read_only
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
+#: A position that is beyond a limit by at most this [rad, m] was rounded, to 32 bits or in print, and is moved to it.
+ROUNDING = 1e-5
+
 
 @dataclass(frozen=True, eq=False)
 class SerialArm:
@@ -154,9 +157,12 @@ class SerialArm:
         return inside
 
     def check_position(self, q: ArrayLike | str, what: str = "q") -> Floats:
-        """Return the `configuration` of ``q``; outside the limits, raise `InputError` with joint, value and range."""
+        """The `configuration` of ``q``, moved to limits that it exceeds by up to `ROUNDING`; further, `InputError`."""
         position = self.configuration(q, what)
         outside = self.limit_excess(position)
+        if 0.0 < outside.max() <= ROUNDING:
+            position = self.within_angles(np.clip(position, *self.position_limits.T))
+            outside = self.limit_excess(position)
         worst = int(outside.argmax())
         if outside[worst] > 0.0:
             raise InputError(f"{what} is out of reach: {self.describe_excess(position, worst)}")
@@ -171,7 +177,9 @@ class SerialArm:
         if joint in self.space.balls:
             value, low, name = high + SerialArm.limit_excess(self, q)[joint], 0.0, name[:-2]
         turns = f" ({np.rad2deg(value):.0f} degrees)" if self.unit(joint) == "rad" and abs(value) > 4.0 * np.pi else ""
-        return f"joint {name!r} would be at {value:.4g} {self.unit(joint)}{turns}, its range is [{low:.4g}, {high:.4g}]"
+        digits = 4 if f"{value:.4g}" not in (f"{low:.4g}", f"{high:.4g}") else 8  # so that it is seen to be beyond
+        where, limits = f"{value:.{digits}g} {self.unit(joint)}{turns}", f"[{low:.{digits}g}, {high:.{digits}g}]"
+        return f"joint {name!r} would be at {where}, its range is {limits}"
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""

@@ -1,14 +1,8 @@
 """The tasks as Gymnasium environments ``LieEDNN/TelescopicReach-v0`` and ``LieEDNN/TelescopicTrack-v0``.
 
-Gymnasium finds environments of other packages when their module is named or imported::
-
-    import gymnasium
-
-    name = "lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0"
-    environment = gymnasium.make(name)
-    many = gymnasium.make_vec(name, num_envs=64, vectorization_mode="vector_entry_point")
-
-or, after ``import lieednn_sim.environments.gymnasium``, by the name alone. Many environments are stepped at once by
+Gymnasium finds environments of other packages when their module was imported, or is named, as in
+``gymnasium.make("lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0")``. With
+``gymnasium.make_vec(..., num_envs=64, vectorization_mode="vector_entry_point")`` many are stepped at once by
 `mujoco.rollout`, in threads.
 """
 
@@ -139,6 +133,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         task, arm, scene, flat, options: as for `Environment`.
         autoreset_mode: when the next episode begins, see Gymnasium.
         threads: number of threads; by default, the number of processors.
+        max_episode_steps: control steps after which episodes are truncated, if the time limit is later; -1 for none.
 
     Attributes:
         task: the definition of the task; its own episode is not used.
@@ -154,9 +149,12 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         flat: bool = False,
+        max_episode_steps: int = -1,
         **options: Any,
     ) -> None:
         self.task = make_task(task, arm, scene=scene, **options)
+        longest = self.task.steps if max_episode_steps == -1 else as_count("max_episode_steps", max_episode_steps)
+        self._steps = min(self.task.steps, longest)
         self.num_envs = as_count("num_envs", num_envs, most=2**16)
         if not isinstance(autoreset_mode, AutoresetMode):
             modes = [mode.value for mode in AutoresetMode]
@@ -178,7 +176,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self._states = np.tile(self._first, (num_envs, 1))
         command, row = (np.zeros((num_envs, size)) for size in (len(self._home), self.task.observations.size))
         # Before the first reset, all episodes are over.
-        steps, success, failure = np.full(num_envs, self.task.steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
+        steps, success, failure = np.full(num_envs, self._steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
         reward, distance, angle = np.zeros((3, num_envs))
         self._seen = State(steps, command, row, reward, success, distance, angle, np.array(failure, dtype=object))
         self._targets: dict[int, Target] = {}
@@ -213,12 +211,12 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         """
         given = as_floats("actions", actions, (self.num_envs, self.task.arm.n_joints))
         task, seen = self.task, self._seen
-        waiting = seen.over(task.steps)
+        waiting = seen.over(self._steps)
         if waiting.any() and self.autoreset_mode == AutoresetMode.DISABLED:
             raise InputError(f"the episodes of environments {np.flatnonzero(waiting)} are over: reset them first")
         self._advance(np.flatnonzero(~waiting), given)
         terminated = ~waiting & (seen.failure != "")
-        truncated = ~waiting & ~terminated & seen.over(task.steps)
+        truncated = ~waiting & ~terminated & seen.over(self._steps)
         rewards, infos = np.where(waiting, 0.0, seen.reward), dict[str, Any]()
         for i in np.flatnonzero(terminated).tolist():
             infos = self._add_info(infos, {"failure": seen.failure[i]}, i)

@@ -139,10 +139,7 @@ def view(
 ) -> Page:
     """Show a simulated arm in the browser: drag its target, push its links, change policy, controller and load.
 
-    ::
-
-        with ls.view("telescopic_pr") as page:
-            page.wait()    # until Ctrl-C
+    ``with ls.view("telescopic_pr") as page: page.wait()`` shows it until Ctrl-C.
 
     Args:
         arm: an arm in its scene, or what `Arm.load` takes.

@@ -201,8 +201,9 @@ class TimedCurve:
         q, velocity, acceleration = self._motion.q[self._kept], self._arm.velocity_limits, self._arm.acceleration_limits
         unit = float(np.sqrt((np.ptp(q, axis=0) / acceleration).max()))
         size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
-        # It also needs bounds in place of missing limits, far above all rates.
-        limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
+        # It also needs bounds in place of missing limits, and fails at times if they are 100. Nothing that stays within
+        # a unit is faster than sqrt(2), since it must brake: bounds of 10 exclude nothing.
+        limits = [np.minimum(bound, 10)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
         constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
         return unit, optional_module("toppra").SplineInterpolator(self._fraction, (q - q[0]) / size), constraints
 

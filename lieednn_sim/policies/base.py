@@ -22,11 +22,6 @@ from lieednn_sim.values import Floats, StrPath
 class Policy(ABC):
     """Base class of policies; a subclass defines `act`, and `begin` if it has a state of its own.
 
-    A policy is used like this::
-
-        policy.reset(q)
-        q_ref, qd_ref = policy.step(q_measured, target)     # once in every control period
-
     Args:
         arm: the arm.
         rate: control rate [Hz].
@@ -69,7 +64,7 @@ class Policy(ABC):
         self.begin(self.q)
 
     def step(self, measured: ArrayLike | None, target: ArrayLike) -> tuple[Floats, Floats]:
-        """The reference at the end of the control period that begins now.
+        """The reference at the end of the control period that begins now; call it once in every period, after `reset`.
 
         Args:
             measured: ``(n,)`` joint coordinates measured now; None if the arm is taken to be at its reference.
@@ -88,7 +83,7 @@ class Policy(ABC):
         # A target that stays the same is checked against the limits only once.
         if self._target is None or goal.tolist() != self._target.tolist():
             if (self.arm.limit_excess(goal) > 0.0).any():
-                self.arm.check_position(goal, "target")  # raises, and says what is wrong; takes longer
+                goal = self.arm.check_position(goal, "target")  # moves it to the limit, or raises; takes longer
             if "q" not in vars(self):
                 if seen is None:
                     raise InputError("it is not known where the arm is: call reset(q), or give measured joints")

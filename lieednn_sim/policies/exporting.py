@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.serial_arm import ROUNDING
 from lieednn_sim.errors import InputError
 from lieednn_sim.network.exporting import c_header, write_sources
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
@@ -41,6 +42,7 @@ def write_policy(
         "PULL": (pull.rate, "rate at which measured joints pull the network's state [1/s]"),
         "TOLERANCE": (pull.tolerance, "error up to which they do not, as a fraction of joints' ranges"),
         "PATIENCE": (pull.patience, "error at which the network runs at half its speed, likewise"),
+        "ROUNDING": (ROUNDING, "how far a target may be beyond a limit, at which it is taken to be"),
         "START_TOLERANCE": (arm.start_tolerance, "how far a start may be beyond a limit, at which it is taken to be"),
     }
     low, high = arm.position_limits.T

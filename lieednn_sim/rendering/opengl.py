@@ -47,6 +47,13 @@ _PROBE_TIMEOUT = 60.0  # [s]; takes about 1 s, or more with a cold disk or a sle
 # Passes the result of `configure` to child processes, so that these neither probe nor take it for the user's choice.
 _INHERITED = "LIEEDNN_SIM_GL"
 
+# The EGL display when this process was forked, or None. Its driver's threads are not in this process: rendering hangs.
+_handed_down: list[object] = []
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        after_in_child=lambda: _handed_down.append(getattr(sys.modules.get("mujoco.egl"), "EGL_DISPLAY", None))
+    )
+
 
 @dataclass(frozen=True)
 class Backend:
@@ -135,8 +142,11 @@ def require() -> Backend:
     """The OpenGL backend in use, which is known to render.
 
     Raises:
-        RenderingUnavailableError: the chosen backend cannot render; the message says what to install or unset.
+        RenderingUnavailableError: the chosen backend cannot render; the message says what to install or unset; or
+            the process was forked after EGL had been used.
     """
+    if any(display is not None for display in _handed_down):
+        raise RenderingUnavailableError("cannot render, since EGL was used before a fork: start processes by 'spawn'")
     backend = configure()
     if not backend.renders:
         packages = backend.missing_packages

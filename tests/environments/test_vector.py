@@ -87,6 +87,17 @@ def test_gymnasium_makes_them_and_masks_are_kept():
     many.close()
 
 
+def test_gymnasium_may_shorten_episodes():
+    """Targets stay those of the whole episode, as with Gymnasium's time limit around a single environment."""
+    name = "LieEDNN/TelescopicTrack-v0"
+    alone = gymnasium.make(name, max_episode_steps=3)
+    many = gymnasium.make_vec(name, num_envs=1, vectorization_mode="vector_entry_point", max_episode_steps=3)
+    np.testing.assert_array_equal(many.reset(seed=4)[0]["position_error"][0], alone.reset(seed=4)[0]["position_error"])
+    ends = [(many.step(np.ones((1, 8)))[3].tolist(), alone.step(np.ones(8))[3]) for _ in range(3)]
+    assert ends == [([False], False), ([False], False), ([True], True)]
+    many.close()
+
+
 def test_bad_input():
     with pytest.raises(InputError, match="no autoreset_mode 'never'; allowed: Disabled, NextStep, SameStep"):
         VectorEnvironment(2, autoreset_mode="never")

@@ -265,6 +265,12 @@ def test_problems_are_checked():
     for name in ("start", "target"):
         with pytest.raises(InputError, match=f"{name} is out of reach: joint 'extend1' would be at 3 m"):
             problem(0, **{name: beyond})
+    # Rounded to 32 bits, a limit may be beyond itself.
+    rounded = np.where(np.arange(8) == 6, 1.745, ARM.keyframe("home")).astype(np.float32)
+    assert float(rounded[6]) > 1.745 == problem(0, target=rounded).target[6]
+    beyond = np.where(np.arange(8) == 6, 1.74502, ARM.keyframe("home"))
+    with pytest.raises(InputError, match=r"would be at 1\.74502 rad, its range is \[-1\.745, 1\.745\]"):
+        problem(0, target=beyond)
     folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
     assert ARM.contacts(folded)
     with pytest.raises(InputError, match=r"target is out of reach: '.*' would touch '.*' there, [0-9.]+ mm deep$"):

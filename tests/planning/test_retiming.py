@@ -48,6 +48,19 @@ def test_a_straight_way_takes_the_least_time_there_is(gantry):
         np.testing.assert_array_equal(getattr(planned, name), getattr(found, name))
 
 
+@pytest.mark.parametrize("moved", [[0, 3], [3, 7], [6, 7]])
+def test_no_limit_of_velocity_is_needed_also_where_joints_hardly_move(moved):
+    """A network's joints at rest move by rounding, for which the solver found no law without limits."""
+    arm = Arm.load("telescopic_pr")
+    target = arm.keyframe("home")
+    target[moved] = arm.keyframe("extended")[moved]
+    motion = plan(arm, target, planner="lieednn-shaped").motion
+    found = retime(dataclasses.replace(arm, velocity_limits=np.full(8, np.inf)), motion)
+    # Half of the straight way at full acceleration, and half of it braking.
+    least = 2.0 * np.sqrt((np.ptp(motion.q, axis=0) / arm.acceleration_limits).max())
+    assert least <= found.t[-1] <= 1.01 * least + arm.timestep
+
+
 def test_what_belongs_to_the_way_stays_with_it(gantry):
     """Gaps that grow with the way, and rates that are the positions' derivatives."""
     arm, motion = straight(gantry)

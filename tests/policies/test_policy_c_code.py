@@ -212,6 +212,9 @@ def test_faults_are_told_and_braked_for(tmp_path):
     np.testing.assert_allclose(code.q, goal, atol=1e-3)
     assert code.counts[3] == 3
 
+    # One that was rounded to 32 bits is at the limit.
+    assert code.step(code.q, np.where(np.arange(8) == 7, np.float32(0.3), goal)) & ~LIMITED == 0
+
     # No start out of reach, and no reference without a start.
     assert code.start(bad) == REFUSED
     assert code.step(home, goal) == FAILED

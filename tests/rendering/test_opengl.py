@@ -150,6 +150,38 @@ def test_users_later_choice_beats_the_inherited(working, monkeypatch):
     assert opengl.configure().requested == "osmesa"
 
 
+@pytest.mark.rendering
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
+def test_a_process_forked_after_egl_was_used_is_told_so():
+    """It would wait forever for threads of the driver, which a fork does not copy."""
+    code = """
+import os, mujoco
+from lieednn_sim.errors import RenderingUnavailableError
+from lieednn_sim.rendering import opengl
+
+def forked():
+    if os.fork() == 0:
+        try:
+            opengl.require()
+            print("renders", flush=True)
+        except RenderingUnavailableError as error:
+            print(error, flush=True)
+        os._exit(0)
+    os.wait()
+
+opengl.require()
+forked()
+with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
+    renderer.render()
+forked()
+"""
+    done = run_python("-c", code, MUJOCO_GL="egl")
+    assert done.stdout.splitlines()[-2:] == [
+        "renders",
+        "cannot render, since EGL was used before a fork: start processes by 'spawn'",
+    ], done.stderr
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"name": "egl"}'])
 def test_broken_inheritance_is_ignored(working, monkeypatch, text):
     working("egl")

@@ -184,8 +184,8 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
 def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> NDArray[Any] | None:
     """The times among the other columns, by lower-case names, in the layout's unit; None if there are none."""
     found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
-    if len(found) > 1:
-        raise InputError(f"{path} may have only one column of times, it has: {', '.join(found)}")
+    if len(times := [*found, *(name for name in others if found and re.search("nano|nsec", name))]) > 1:
+        raise InputError(f"{path} may have only one column of times, it has: {', '.join(times)}")
     for name, unit in found.items():
         return others[name] * (TIME_UNITS.get(unit[:2], 1.0) / TIME_UNITS[layout.time_unit] if unit else 1)
     for name, values in others.items():

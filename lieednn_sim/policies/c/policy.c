@@ -448,9 +448,10 @@ unsigned policy_step(policy *p, const double *measured, const double *target)
     unsigned status = 0;
     if (!p->started)
         return POLICY_FAILED;
-    if (target && within(target, 0.0))
+    if (target && within(target, POLICY_ROUNDING)) {
         memcpy(p->wanted, target, sizeof p->wanted);
-    else if (target)
+        limit(p->wanted);
+    } else if (target)
         status |= POLICY_REFUSED;
     /* A policy without feedback needs no measurement. */
     if (POLICY_FEEDBACK)

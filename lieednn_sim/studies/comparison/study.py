@@ -185,13 +185,9 @@ def compare(
 ) -> Table[Row]:
     """Compare planners in a table, of which the rows that the directory lacks are computed.
 
-    ::
-
-        table = ls.compare("out", planners=["minimum-jerk", "lieednn-certified"], arms=["telescopic_pr"], seeds=3)
-        write_page("out/comparison.html", table)     # of `studies.report`
-
-    The arguments and errors are those of `Comparison` (whose ``common`` is ``settings`` here) and `study.compute`,
-    which together do the same for a part of the cases, or fewer seeds for slow planners.
+    `studies.report.write_page` makes its page. The arguments and errors are those of `Comparison` (whose ``common`` is
+    ``settings`` here) and `study.compute`, which together do the same for a part of the cases, or fewer seeds for slow
+    planners.
     """
     common = Settings() if settings is None else settings
     study = Comparison(planners, arms, scenes, controllers, seeds=seeds, common=common)

@@ -87,6 +87,7 @@ def test_semicolons_allow_points_and_commas_in_numbers(tmp_path, rows):
         ("elapsed,x,y", "'elapsed' may be the time"),
         ("tick,x,y", "'tick' may be the time"),
         ("t,x,y,stamp", "only one column of times, it has: t, stamp"),
+        ("secs,x,y,nsecs", "only one column of times, it has: secs, nsecs"),  # whole seconds alone are no times
         ("t,x", "names 2 columns, and its rows have 3"),
         ("frame,x,y", ""),
         (",x,y", ""),
