@@ -364,6 +364,22 @@ def test_what_follows_a_locked_joint_is_locked_and_limits_the_wrong_way_round_ar
             Arm.load(path)
 
 
+@pytest.mark.parametrize(("limit", "span"), [('upper=".4"', [0.0, 0.4]), ('lower="-.3"', [-0.3, 0.0])])
+def test_a_limit_that_an_urdf_leaves_out_is_zero(limit, span, tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace(LIMITS, limit, 1).replace("<mimic", "<none"))
+    np.testing.assert_allclose(Arm.load(path).position_limits[1], span)
+
+
+def test_quaternions_of_an_urdf_which_mujoco_ignores_are_refused(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz=".3 0 .4" quat_xyzw="0 0 1 0"'))
+    with pytest.raises(
+        InputError, match="an origin of the URDF has 'quat_xyzw', which MuJoCo ignores; write it as rpy"
+    ):
+        Arm.load(path)
+
+
 def test_a_planar_base_of_an_urdf_is_held(tmp_path):
     path = tmp_path / "derrick.urdf"
     path.write_text(URDF.replace(TURN.format("continuous", ""), TURN.format("planar", "")))

@@ -58,8 +58,16 @@ def import_model(
         notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
-    named = choose_chain(compiled, qpos, options, mending.planar_joints(joints), notes)
-    qpos = mending.fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
+    # MuJoCo makes three joints of a planar one, without ranges.
+    planar = [joint for joint, element in joints.items() if element.get("type") == "planar"]
+    parts = {f"{joint}_{motion}": joint for joint in planar for motion in ("TX", "TY", "RZ")}
+    named = choose_chain(compiled, qpos, options, parts, notes)
+    if "links" in named:
+        chain, *_ = joint_groups(compiled, named_frames(compiled, named["links"], named.get("base")))
+    else:
+        chain = tuple(chosen_joints(compiled, named["joints"]))
+    first = min(map(int, compiled.jnt_bodyid[[*chain]]), key=lambda body: len(ancestry(compiled, body)))
+    qpos = mending.fix_base(spec, compiled, first, qpos, notes)
 
     def viewed() -> ModelArm:
         now = compile_spec(spec)
@@ -96,14 +104,6 @@ def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
     """Positions ``(S, nq)`` at home and at those configurations at which all loops can be closed."""
     rows = arm.qpos(np.vstack([home, samples]), strict=False)
     return rows[~np.isnan(rows).any(axis=1)]
-
-
-def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
-    if "links" in named:
-        joints, *_ = joint_groups(model, named_frames(model, named["links"], named.get("base")))
-    else:
-        joints = tuple(chosen_joints(model, named["joints"]))
-    return min(map(int, model.jnt_bodyid[[*joints]]), key=lambda body: len(ancestry(model, body)))
 
 
 def _limits(
