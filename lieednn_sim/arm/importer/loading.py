@@ -274,15 +274,15 @@ def _placed(node: ElementTree.Element, outer: Floats, elements: _ById) -> Iterat
         if _tag(child) == "node":
             yield from _placed(child, inner, elements)
         elif _tag(child) == "instance_node":
-            yield from _placed(elements[_reference(child, "url")], inner, elements)
+            yield from _placed(elements[child.get("url", "").removeprefix("#")], inner, elements)
         elif _tag(child) == "instance_geometry":
-            for points in _positions(elements[_reference(child, "url")], elements):
+            for points in _positions(elements[child.get("url", "").removeprefix("#")], elements):
                 yield points @ inner[:3, :3].T + inner[:3, 3]
 
 
 def _positions(geometry: ElementTree.Element, elements: _ById) -> Iterator[Floats]:
     for given in geometry.iterfind(".//{*}input[@semantic='POSITION']"):
-        source = elements[_reference(given, "source")]
+        source = elements[given.get("source", "").removeprefix("#")]
         numbers = source.findtext(".//{*}float_array", "").split()
         stride = next((int(accessor.get("stride", "3")) for accessor in source.iterfind(".//{*}accessor")), 3)
         yield np.array(numbers, dtype=np.float64).reshape(-1, stride)[:, :3]
@@ -304,7 +304,3 @@ def _transform(kind: str, values: Floats) -> Floats:
 
 def _tag(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2]
-
-
-def _reference(element: ElementTree.Element, name: str) -> str:
-    return element.get(name, "").removeprefix("#")
