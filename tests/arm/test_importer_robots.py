@@ -416,6 +416,16 @@ def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_
         shutil.rmtree(tmp_path / folder)
 
 
+def test_a_file_named_relative_to_a_folder_that_is_left_is_compiled_again(tmp_path, monkeypatch):
+    shape = '<collision><geometry><mesh filename="post.obj"/></geometry></collision></link>'
+    (tmp_path / "derrick.urdf").write_text(URDF.replace("</link>", shape, 1))
+    (tmp_path / "post.obj").write_text(TETRAHEDRON)
+    monkeypatch.chdir(tmp_path)
+    arm = Arm.load("derrick.urdf")
+    monkeypatch.chdir(tmp_path.parent)
+    assert arm.with_payload(0.1).model.nmesh == 1
+
+
 def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, monkeypatch):
     shape = '<collision><geometry><mesh filename="package:///hands/meshes/post.obj"/></geometry></collision></link>'
     path = tmp_path / "checkout" / "robots" / "derrick.urdf"

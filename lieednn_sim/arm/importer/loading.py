@@ -64,7 +64,7 @@ def read_model(source: Path) -> mujoco.MjSpec:
         raise FileError(f"no such file: {source}")
     check_size(source)
     try:
-        return mujoco.MjSpec.from_file(str(source))
+        return mujoco.MjSpec.from_file(str(source.absolute()))
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
     except TypeError:
