@@ -310,6 +310,13 @@ def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
         np.testing.assert_allclose(arm.force_limits, [np.inf, 100.0])
         np.testing.assert_allclose(arm.acceleration_limits, [np.inf, 0.5 * 100.0 / 3.25])
         assert f"velocity limits of the URDF [rad/s, m/s]: turn none, out1 {velocity:.3g}" in arm.import_report.notes
+    # Those of URDF 1.2; out2 is half as fast as out1.
+    out1, out2 = URDF.split('<joint name="out2"')
+    out1 = out1.replace('velocity="1"', 'acceleration="3" deceleration="2" jerk="9"')
+    path.write_text(f'{out1}<joint name="out2"' + out2.replace('velocity="1"', 'acceleration="1.5" jerk="4"'))
+    arm = Arm.load(path)
+    np.testing.assert_allclose([arm.acceleration_limits, arm.jerk_limits], [[np.inf, 2.0], [np.inf, 8.0]])
+    assert "jerk limits of the URDF [rad/s^3, m/s^3]: turn none, out1 8" in arm.import_report.notes
     path.write_text(URDF.replace('effort="100" velocity="1"', 'effort="0" velocity="0"'))
     arm = Arm.load(path)
     assert np.isinf([arm.velocity_limits, arm.force_limits, arm.acceleration_limits]).all()

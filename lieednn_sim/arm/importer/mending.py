@@ -1,6 +1,6 @@
 """What a file needs before it can be an arm: possible inertias, a base that stands, stiff ties.
 
-And what MuJoCo leaves out of a URDF: limits that lock a joint or are wrong, planar joints, limits of velocities.
+And what MuJoCo leaves out of a URDF: limits that lock a joint or are wrong, planar joints, limits of rates.
 """
 
 from __future__ import annotations
@@ -90,15 +90,16 @@ def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, locked: lis
     spec.delete(joint)
 
 
-def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
-    """The velocity limits of joints [rad/s, m/s]; zero counts as none; empty, with a note, if they are unreadable."""
-    limits = {name: element.find("limit") for name, element in joints.items()}
+def rate_limits(joints: Joints, rate: str, notes: list[str]) -> dict[str, float]:
+    """The limits of a rate of `limits.RATES`; zero counts as none; empty, with a note, if they are unreadable."""
+    limits = {name: limit for name, element in joints.items() if (limit := element.find("limit")) is not None}
+    both = [rate, "deceleration"] if rate == "acceleration" else [rate]
     try:
-        result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
+        found = {name: [float(limit.get(each, "0")) for each in both] for name, limit in limits.items()}
     except ValueError as error:
-        notes.append(f"velocity limits, if there are any, could not be read: {error}")
+        notes.append(f"{rate} limits, if there are any, could not be read: {error}")
         return {}
-    return {name: velocity for name, velocity in result.items() if velocity > 0.0}
+    return {name: min(value for value in each if value > 0.0) for name, each in found.items() if max(each) > 0.0}
 
 
 def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:

@@ -53,25 +53,19 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
         if len(groups[i - 1]) > 1 and turn > 0.95 * np.pi and compound.screw is None:
             why = f"link {i} may turn by {turn:.3g} rad against link {i - 1}"
             yield f"{why}; the logarithm is unique below pi: name more links"
-    yield from _shapes(arm)
-    yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
-    for first, second in arm.contacts(home):
-        yield f"bodies {first!r} and {second!r} touch at home"
-    yield from _straight_paths(arm, home)
-    yield from _singular_links(arm, groups, home, samples)
-
-
-def _shapes(arm: ModelArm) -> Iterator[str]:
-    """A remark if the arm is invisible, or cannot touch anything."""
-    model = arm.model
-    moving = moved_together(model, arm.dofs)[model.geom_bodyid] > 0
+    moving = moved_together(arm.model, arm.dofs)[arm.model.geom_bodyid] > 0
     if not moving.any():
         yield (
             "no moving body has a geom: the arm is invisible and touches nothing; of a URDF MuJoCo reads <collision>, "
             'and <visual> only with <mujoco><compiler discardvisual="false"/></mujoco> in <robot>'
         )
-    elif not colliding_geoms(model)[moving].any():
+    elif not colliding_geoms(arm.model)[moving].any():
         yield "no geom of a moving body can collide: the arm passes through obstacles and through itself"
+    yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
+    for first, second in arm.contacts(home):
+        yield f"bodies {first!r} and {second!r} touch at home"
+    yield from _straight_paths(arm, home)
+    yield from _singular_links(arm, groups, home, samples)
 
 
 def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
