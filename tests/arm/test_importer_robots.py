@@ -446,6 +446,8 @@ def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, mon
         Arm.load(path)
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'none'}:{tmp_path / 'ros'}")
     assert Arm.load(path).model.nmesh == 1
+    path.write_text(path.read_text().replace("package:///", "model://"))
+    assert Arm.load(path).model.nmesh == 1
     monkeypatch.delenv("ROS_PACKAGE_PATH")
     _package_name.cache_clear()
     (path.parents[1] / "package.xml").write_text("<package><name>hands</name></package>")

@@ -21,7 +21,7 @@ from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats, StrPath
 
-_PACKAGE = "package://"
+_PACKAGES = "package://", "model://"  # of ROS, and of Gazebo and Drake
 _POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LFS pointer file
 # Most bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
@@ -93,12 +93,12 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
-    """Resolve file names of the form ``package://NAME/...`` and ``file://...``."""
+    """Resolve file names of the form ``package://NAME/...``, ``model://NAME/...`` and ``file://...``."""
     for element in (*spec.meshes, *spec.textures):
         scheme, _, path = element.file.partition("://")
         if scheme == "file":
             element.file = path
-        elif scheme == "package":
+        elif element.file.startswith(_PACKAGES):
             package, _, inside = path.lstrip("/").partition("/")
             candidates = (folder / inside for folder in _folders(package, source))
             element.file = str(next((file for file in candidates if is_file(file)), element.file))
@@ -158,8 +158,8 @@ def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
     meshes = [("meshdir", element) for element in (*spec.meshes, *spec.hfields, *spec.skins)]
     for folder, element in (*meshes, *(("texturedir", texture) for texture in spec.textures)):
         if element.file:
-            if element.file.startswith(_PACKAGE):
-                package = element.file.removeprefix(_PACKAGE).lstrip("/").partition("/")[0]
+            if element.file.startswith(_PACKAGES):
+                package = element.file.partition("://")[2].lstrip("/").partition("/")[0]
                 where = f"no folder {package!r} beside {own.absolute()} or above, nor in ROS_PACKAGE_PATH, holds it"
                 yield f"{element.file} ({where})", None
                 continue
