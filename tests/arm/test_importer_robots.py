@@ -423,6 +423,30 @@ def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_
         shutil.rmtree(tmp_path / folder)
 
 
+def test_meshes_of_one_name_in_several_folders_are_several_meshes(tmp_path):
+    """TALOS's gripper was its torso, since their files have one name; and what is seen was what collides."""
+    mesh = '<{0}><geometry><mesh filename="{1}.obj" scale="1 {2} 1"/></geometry></{0}>'
+    post = mesh.format("visual", "seen/part", 1) + mesh.format("collision", "post/part", 1)
+    shapes = (
+        post + mesh.format("collision", "part1", 1),
+        mesh.format("collision", "tube/part", 1),
+        mesh.format("collision", "tube/part", -1),  # MuJoCo names the second scale of a mesh part1
+    )
+    keeps = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
+    head, *links = URDF.replace("</robot>", keeps).split("</link>")
+    path = tmp_path / "derrick.urdf"
+    path.write_text(head + "".join(f"{shape}</link>{rest}" for shape, rest in zip(shapes, links, strict=True)))
+    for file, edge in (("post/part", ".1"), ("part1", ".2"), ("tube/part", ".4"), ("seen/part", ".7")):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / f"{file}.obj").write_text(TETRAHEDRON.replace(".1", edge))
+    model = Arm.load(path, overlaps="keep", floor="none").model
+    for body, edges in (("post", [0.1, 0.2, 0.7]), ("tube1", [0.4]), ("tube2", [0.4])):
+        centres = model.geom_pos[model.geom_bodyid == model.body(body).id]
+        # The centre of a tetrahedron is at a quarter of its edges.
+        assert sorted(4.0 * centres[:, 2]) == pytest.approx(edges)
+        assert np.sign(centres[:, 1]) == pytest.approx(-1.0 if body == "tube2" else 1.0)
+
+
 def test_a_file_named_relative_to_a_folder_that_is_left_is_compiled_again(tmp_path, monkeypatch):
     shape = '<collision><geometry><mesh filename="post.obj"/></geometry></collision></link>'
     (tmp_path / "derrick.urdf").write_text(URDF.replace("</link>", shape, 1))

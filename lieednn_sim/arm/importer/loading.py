@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
+from html import unescape
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -27,6 +28,8 @@ _POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LF
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
 # Macros that xacro replaces, and comments, which may contain some.
 _MACRO, _COMMENT = re.compile(rb"<xacro:|\$\{|\$\((find|arg|eval|env|optenv) "), re.compile(rb"<!--.*?-->", re.DOTALL)
+# A mesh of a URDF, a quotation mark, and its file; meshes of an MJCF file have no such attribute.
+_MESH = re.compile(r"""(<mesh\b[^>]*?\bfilename\s*=\s*(["'])(.*?)\2[^>]*>)""")
 _ById = dict[str | None, ElementTree.Element]
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
@@ -64,11 +67,28 @@ def read_model(source: Path) -> mujoco.MjSpec:
         raise FileError(f"no such file: {source}")
     check_size(source)
     try:
-        return mujoco.MjSpec.from_file(str(source.absolute()))
+        return _with_all_meshes(mujoco.MjSpec.from_file(str(source.absolute())), source)
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
     except TypeError:
         raise FileError(f"MuJoCo reads no file with bytes in its path that are not UTF-8: {str(source)!r}") from None
+
+
+def _with_all_meshes(spec: mujoco.MjSpec, source: Path) -> mujoco.MjSpec:
+    """The spec of a file, without MuJoCo's fault to take a URDF's meshes whose files have one name as the same mesh."""
+    with opened(source, _LARGEST) as stream:
+        text = stream.read().decode("utf-8-sig", "replace")
+    meshes = {element: Path(file) for element, _, file in _MESH.findall(text)}
+    if spec.strippath or len({file.stem for file in meshes.values()}) == len(meshes):
+        return spec
+    own = {element: f"{file.stem}_{k}{file.suffix}" for k, (element, file) in enumerate(meshes.items())}
+    files = {unescape(own[element]): unescape(file) for element, _, file in _MESH.findall(text)}
+    renamed = _MESH.sub(lambda match: match[1].replace(match[2] + match[3], match[2] + own[match[1]]), text)
+    apart = mujoco.MjSpec.from_string(renamed)
+    apart.modelfiledir = spec.modelfiledir
+    for mesh in apart.meshes:
+        mesh.file = files[mesh.file]
+    return apart
 
 
 def macros_left(path: Path) -> InputError:
