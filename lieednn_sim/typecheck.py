@@ -124,7 +124,8 @@ def _require(name: str, hint: _Hint, value: Any) -> None:
         given = quoted(value) if shown else _with_article(type(value).__name__)
         source = next((f"; {_SOURCES[word]}" for word in hint.wanted.split() if word in _SOURCES), "")
         public = [part for part, own in getattr(value, "__dict__", {}).items() if part[0] != "_" and hint.accepts(own)]
-        source = f"; give its .{public[0]}" if source and public else source
+        wrapped = hasattr(value, "ptr") and hint.accepts(value.ptr)  # by dm_control
+        source = "; give its .ptr" if wrapped else f"; give its .{public[0]}" if source and public else source
         raise InputError(f"{name} must be {hint.wanted}, got {given}{source}")
     for place, inner, part in () if hint.parts is None else hint.parts(value):
         _require(name + place, inner, part)

@@ -147,6 +147,12 @@ def test_a_name_is_checked_before_mujoco_reads_it():
         Arm.load("telescopic_pr").keyframe(None)
 
 
+def test_what_dm_control_wraps_is_told():
+    wrapper = type("MjModel", (), {"ptr": property(lambda _: Arm.load("telescopic_pr").model)})()
+    with pytest.raises(InputError, match=r"model must be a MjModel of mujoco, got a MjModel; give its \.ptr"):
+        Arm.of(wrapper, None, ["a"])
+
+
 ARM = Arm.load("telescopic_pr")
 HOME = ARM.keyframe("home")
 XI = ARM.encode(0.9 * HOME)

@@ -46,7 +46,9 @@ def joints_of(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Raise `InputError` where a model holds NaN, which MuJoCo silently reads and compiles."""
+    """Raise `InputError` where a model holds NaN, which MuJoCo silently reads, or an actuator with several controls."""
+    for k in np.flatnonzero(model.actuator_ctrlnum != 1).tolist():
+        raise InputError(f"actuator {model.actuator(k).name or k!r} needs a single control, as <position> has")
     for field in _NUMBERS:
         values = np.asarray(getattr(model, field))
         bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))

@@ -220,7 +220,8 @@ def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int
         while above is not None and above not in chosen and above not in seen:
             seen.append(above)
             above = leaders.get(above)
-        if above is not None and above in chosen and above != joint:
+        mutual = above is not None and leaders.get(above) == joint and above not in result  # the first of both leads
+        if above is not None and above in chosen and above != joint and not mutual:
             continue
         if above is None and len(seen) > 1:
             if seen[-1] in led:

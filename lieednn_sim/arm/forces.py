@@ -65,7 +65,7 @@ def constant_moments(model: mujoco.MjModel) -> Floats:
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which actuators ``(nu,)`` exert g ctrl + b0 + b1 l + b2 v, g not zero, whatever their dynamics are."""
-    affine = model.actuator_biastype <= int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine = (model.actuator_plugin < 0) & (model.actuator_biastype <= int(mujoco.mjtBias.mjBIAS_AFFINE))
     affine &= model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
     return np.asarray(affine & (model.actuator_gainprm[:, 0] != 0.0))
 

@@ -71,8 +71,14 @@ def find_model(arm: StrPath, options: ImportOptions) -> ModelFile:
     if suffix == ".xacro":
         raise macros_left(path)
     if suffix in DESCRIPTION_SUFFIXES:
-        model, described = _read_description(path)
-        return ModelFile(model, path.stem, {**described, **chosen(options)})
+        described: Any = io.load_description(path, "description of an arm")
+        name = described.pop("model", None)
+        if not isinstance(name, str) or Path(name).suffix.lower() not in MODEL_SUFFIXES:
+            raise FileError(f"{path} names no model: it needs an entry such as `model: robot.urdf`, got {name!r}")
+        if unknown := [str(key) for key in described if key not in ImportOptions.__optional_keys__]:
+            allowed = ", ".join(sorted(ImportOptions.__optional_keys__))
+            raise FileError(f"{path}: a description of an arm has no {', '.join(unknown)}; allowed: model, {allowed}")
+        return ModelFile(path.parent / name, path.stem, {**described, **chosen(options)})
     if named := _MODEL_WITH_LINKS.fullmatch(str(path)):
         if options.get("links"):
             raise InputError(f"the links of {path} are given twice: after its name, and as an option")
@@ -83,17 +89,6 @@ def find_model(arm: StrPath, options: ImportOptions) -> ModelFile:
     if given := chosen(options):
         raise InputError(f"arm {str(arm)!r} of the package takes no import options, got: {', '.join(given)}")
     return ModelFile(scene_path(str(arm)), str(arm), {})
-
-
-def _read_description(path: Path) -> tuple[Path, ImportOptions]:
-    value: Any = io.load_description(path, "description of an arm")
-    model = value.pop("model", None)
-    if not isinstance(model, str) or Path(model).suffix.lower() not in MODEL_SUFFIXES:
-        raise FileError(f"{path} names no model: it needs an entry such as `model: robot.urdf`, got {model!r}")
-    if unknown := [str(name) for name in value if name not in ImportOptions.__optional_keys__]:
-        allowed = ", ".join(sorted(ImportOptions.__optional_keys__))
-        raise FileError(f"{path}: a description of an arm has no {', '.join(unknown)}; allowed: model, {allowed}")
-    return path.parent / model, value
 
 
 def label_of(source: Path) -> str:

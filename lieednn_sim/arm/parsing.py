@@ -78,7 +78,7 @@ def read_arm(
     space = read_coordinates(model, chain, rest, couplings)
     limits = narrow_to_servos(model, rest, space, read_position_limits(model, chain, space, ranges), said)
     moving = driving(actuator_moments(model), tangent_basis(space))
-    if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
+    if unknown := [model.actuator(a).name or f"number {a}" for a in np.flatnonzero(moving & ~drivable(model)).tolist()]:
         said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     weakest, strongest = force_ranges(model, tangent_basis(space)).T

@@ -13,9 +13,10 @@ _GROWING = 1.01  # growth in one step, far more than that by rounding or of a fa
 
 
 def without_stops(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The model, changed: without contacts, limits, and dry friction, which hides how things swing once they move."""
+    """The model, changed: without sleep, contacts, limits, and dry friction, which hides how things swing."""
     model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     return model
 
 
@@ -36,7 +37,7 @@ def step_remedy(model: mujoco.MjModel, qpos: Floats) -> str:
     """What makes the steps of a model unstable at rest at ``(nq,)``, and a remedy; empty if nothing is found."""
     model = without_stops(copy.deepcopy(model))
     option = model.opt
-    if step_growth(model, qpos) < _GROWING:
+    if model.nhistory or step_growth(model, qpos) < _GROWING:  # MuJoCo does not linearise delays
         return ""
     euler, step = option.integrator == int(mujoco.mjtIntegrator.mjINT_EULER), option.timestep
     before = "Euler" if euler else mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_").lower()

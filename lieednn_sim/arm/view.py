@@ -88,7 +88,13 @@ def read_view(
         mujoco.mj_copyData(state, own, data)
         state.eq_active[weld] = 0
         dependents = Dependents(own, state, independent)
-    _check_chain(own, dependents, [*path, *ancestry(own, end.body)], joints_of_chain)
+    on_way = {joint for body in (*path, *ancestry(own, end.body)) for joint in joints_of(own, body)}
+    for joint in sorted(on_way.intersection(dependents.moved).difference(joints_of_chain)):
+        raise InputError(
+            f"joint {names(own, [joint])}, on the way to the end effector, is moved by "
+            f"{names(own, dependents.independent)} through a closed loop or a curve; joints of a chain may only "
+            "follow others in a straight line, so choose joints and a tip before it"
+        )
     couplings = along_tendons(own, joints_of_chain, Couplings(dependents.lines, sums=dependents.sums))
     within = dict(zip(own.dof_jntid[dependents.dofs].tolist(), dependents.follower_limits(), strict=True))
     if not frames:
@@ -159,17 +165,6 @@ def _chain(
     if start.body not in path or path.index(start.body) >= path.index(first):
         raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
     return start, path, chain
-
-
-def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence[int], chain: Sequence[int]) -> None:
-    """Raise `InputError` for joints from the base to the end effector that follow others, but not linearly."""
-    on_way = {joint for body in bodies for joint in joints_of(model, body)}
-    for joint in sorted(on_way.intersection(dependents.moved).difference(chain)):
-        raise InputError(
-            f"joint {names(model, [joint])}, on the way to the end effector, is moved by "
-            f"{names(model, dependents.independent)} through a closed loop or a curve; joints of a chain may only "
-            "follow others in a straight line, so choose joints and a tip before it"
-        )
 
 
 def _check_links(model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings) -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
@@ -137,7 +136,12 @@ class _Planned:
         self._arm, self._state = arm, arm.data()
         self._state.qvel[:] = 0.0
         self._places, self._dofs = arm.space.addresses, arm.space.rate_addresses
-        self._heavy = _heavier(arm.model, self._state.qpos, self._dofs)
+        # A copy of the model in which the arm has extra inertia, and no actuators.
+        self._heavy, dofs = copy.deepcopy(arm.model), self._dofs
+        inertia = largest_inertia(arm.model, self._state.qpos[None], np.eye(arm.model.nv)[:, dofs])
+        self._heavy.dof_armature[dofs] += _HELD * inertia
+        driving = actuator_moments(arm.model)[:, dofs].any(axis=1)
+        self._heavy.actuator_gainprm[driving] = self._heavy.actuator_biasprm[driving] = 0.0
         self.qpos, self.qvel = [self._state.qpos[None].copy()], [np.zeros((1, arm.model.nv))]
         self.last = 0
 
@@ -185,12 +189,3 @@ class _Planned:
         self.last += len(qpos)
         self._state.qpos[:], self._state.qvel[:] = qpos[-1], 0.0
         self._state.qacc_warmstart[:] = 0.0
-
-
-def _heavier(model: mujoco.MjModel, qpos: Floats, dofs: NDArray[np.int_]) -> mujoco.MjModel:
-    """A copy of a model in which some dofs have extra inertia, relative to that at ``(nq,)``, and no actuators."""
-    heavy = copy.deepcopy(model)
-    heavy.dof_armature[dofs] += _HELD * largest_inertia(model, qpos[None], np.eye(model.nv)[:, dofs])
-    driving = actuator_moments(model)[:, dofs].any(axis=1)
-    heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
-    return heavy

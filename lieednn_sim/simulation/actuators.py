@@ -50,7 +50,7 @@ class Actuators:
         self.moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self.moment @ basis
         if len(unknown := np.flatnonzero(self.driving & ~drivable(model))):
-            name = model.actuator(int(unknown[0])).name
+            name = model.actuator(int(unknown[0])).name or f"number {unknown[0]}"
             raise InputError(
                 f"actuator {name!r} moves the arm in a way the controllers do not know: they need {DRIVABLE}"
             )

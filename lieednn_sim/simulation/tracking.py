@@ -137,7 +137,13 @@ def simulate(
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     rest = round(as_hold(hold) / arm.timestep)
     if isinstance(motion, PlanSequence):
-        q, qd = _coordinates_of(arm, motion)
+        if motion.qpos.shape[1] != arm.model.nq or motion.arm.joint_names != arm.joint_names:
+            raise InputError(
+                f"the sequence is of another model or of other joints: it has {motion.qpos.shape[1]} positions and "
+                f"moves {', '.join(motion.arm.joint_names)}"
+            )
+        q = arm.coordinates(motion.qpos)  # the last row also serves for the rest after it
+        qd = arm.rates(q, motion.qvel)
     else:
         motion = as_motion(arm, motion)
         q, qd = at_rest_after(motion, len(motion.t) + rest)
@@ -189,17 +195,6 @@ def simulate(
         if said := late_push((len(seen) - 1) * arm.timestep, arm.timestep, changes):
             warnings.warn(said, stacklevel=3)  # past the wrapper that checks arguments
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
-
-
-def _coordinates_of(arm: Arm, sequence: PlanSequence) -> tuple[Floats, Floats]:
-    """Joint coordinates and rates ``(K, n)`` of a sequence; the last row also serves for the rest after it."""
-    if sequence.qpos.shape[1] != arm.model.nq or sequence.arm.joint_names != arm.joint_names:
-        raise InputError(
-            f"the sequence is of another model or of other joints: it has {sequence.qpos.shape[1]} positions and "
-            f"moves {', '.join(sequence.arm.joint_names)}"
-        )
-    q = arm.coordinates(sequence.qpos)
-    return q, arm.rates(q, sequence.qvel)
 
 
 class _Play:

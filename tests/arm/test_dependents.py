@@ -11,6 +11,7 @@ from mechanisms import CRANE, body, compiled, connect, four_bar, hinge, site, sl
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import tendon_joints
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -184,6 +185,15 @@ def test_followers_in_closed_form_and_polynomials_backwards():
     model, data, backwards = make(chain, tied("z", "y", "0 -2 0 0 0") + tied("x", "y", "0 1 0 2 0"), "x")
     solved = check(model, data, backwards, rows_at(model, x=x))
     assert 0.2 + solved[:, 1] + 2 * solved[:, 1] ** 3 == pytest.approx(x, abs=1e-10)
+
+
+def test_of_two_joints_that_follow_each_other_the_first_leads():
+    x, y, z = (slide(name, axis, 'range="-1 1"') for name, axis in (("x", "1 0 0"), ("y", "1 0 0"), ("z", "0 0 1")))
+    chain = body("b1", x, body("b2", y, body("b3", z)))
+    model = compiled(chain, tied("x", "y", "0 1 0 0 0") + tied("y", "x", "0 1 0 0 0"))
+    arm = Arm.of(model, mujoco.MjData(model), ["x", "y", "z"])
+    assert arm.joint_names == ("x", "z")
+    np.testing.assert_allclose(arm.qpos([0.2, 0.3]), [0.2, 0.2, 0.3])
 
 
 def test_lengths_of_tendons_tie_joints():

@@ -124,6 +124,11 @@ def test_actuators_that_no_controller_can_drive_are_told_when_the_arm_is_read():
     designed = Arm.from_spec(arms[0].spec, joints=["x"], servos="design")
     assert not any("no controller" in note for note in designed.import_report.notes)
     assert Actuators(designed).driving.tolist()[:1] == [True]
+    # A plugin's own law counts, though its gain and bias look like a motor's.
+    law = '<extension><plugin plugin="mujoco.pid"><instance name="i"><config key="kp" value="9"/></instance></plugin>'
+    arms, _ = both_arms('<plugin name="p" joint="x" plugin="mujoco.pid" instance="i"/>', flag=f"{law}</extension>")
+    for arm in arms:
+        assert any(note.startswith("no controller can drive p: ") for note in arm.notes)
 
 
 def test_disabled_actuators_neither_drive_nor_hold():

@@ -435,6 +435,26 @@ def test_rk4_is_replaced_with_a_note_and_refused_where_nothing_may_be_replaced()
         Arm.of(model, mujoco.MjData(model), ["a", "b", "c"])
 
 
+@pytest.mark.parametrize("servos", ["keep", "design"])
+def test_models_with_delays_activations_or_sleep_are_imported(servos):
+    """MuJoCo linearises neither delays nor sleep, and activations of keyframes must be those of the actuators."""
+    more = """<actuator><position joint="a" kp="90" kv="9" timeconst=".1" {0}/></actuator>
+        <sensor><jointpos joint="a" {0}/></sensor>
+        <keyframe><key name="posed" qpos=".1 .2 .3" act=".1"/></keyframe></mujoco>"""
+    asleep = HINGES.format(options="").replace("<worldbody>", '<option><flag sleep="enable"/></option><worldbody>', 1)
+    for xml, delay in ((HINGES.format(options=""), 'delay=".02" nsample="9"'), (asleep, "")):
+        arm = Arm.from_spec(spec_of(xml.replace("</mujoco>", more.format(delay))), servos=servos)
+        np.testing.assert_allclose(arm.model.key("posed").qpos, [0.1, 0.2, 0.3])
+
+
+def test_actuators_with_several_controls_are_refused_by_name():
+    xml = HINGES.format(options="").replace("</mujoco>", '<actuator><pid name="turn" joint="a"/></actuator></mujoco>')
+    model = mujoco.MjModel.from_xml_string(xml)
+    for make in (lambda: Arm.from_spec(spec_of(xml)), lambda: Arm.of(model, mujoco.MjData(model), ["a", "b", "c"])):
+        with pytest.raises(InputError, match="actuator 'turn' needs a single control, as <position> has"):
+            make()
+
+
 @pytest.mark.parametrize(("half", "told"), [(179, True), (150, False)])
 def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
     """Among 65 postures one turns by more than 0.95 pi where the limits allow 0.99 pi; slides do not count."""
@@ -476,6 +496,11 @@ def test_moving_links_without_an_inertia_get_a_small_one(tmp_path):
     assert arm.model.body("basex").mass == 0.01
     assert not any("named like a tool" in note for note in arm.import_report.notes)
     assert "links without <inertial> got a mass of 10 g: basex" in arm.import_report.notes
+    # Drawing tools write links without a material with a mass of zero.
+    path.write_text(path.read_text().replace('<mass value="2"/><inertia ixx=".1"', '<mass value="0"/><inertia ixx="0"'))
+    arm = Arm.load(path)
+    assert "hand: a mass of zero is taken as no <inertial>" in arm.import_report.notes
+    assert arm.model.body("hand").mass == 0.01
 
 
 def test_no_motor_has_to_hold_a_mass_that_mujoco_guesses_from_a_shape(tmp_path):

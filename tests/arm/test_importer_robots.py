@@ -310,6 +310,13 @@ def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
         np.testing.assert_allclose(arm.force_limits, [np.inf, 100.0])
         np.testing.assert_allclose(arm.acceleration_limits, [np.inf, 0.5 * 100.0 / 3.25])
         assert f"velocity limits of the URDF [rad/s, m/s]: turn none, out1 {velocity:.3g}" in arm.import_report.notes
+    # Those of URDF 1.2; out2 is half as fast as out1.
+    out1, out2 = URDF.split('<joint name="out2"')
+    out1 = out1.replace('velocity="1"', 'acceleration="3" deceleration="2" jerk="9"')
+    path.write_text(f'{out1}<joint name="out2"' + out2.replace('velocity="1"', 'acceleration="1.5" jerk="4"'))
+    arm = Arm.load(path)
+    np.testing.assert_allclose([arm.acceleration_limits, arm.jerk_limits], [[np.inf, 2.0], [np.inf, 8.0]])
+    assert "jerk limits of the URDF [rad/s^3, m/s^3]: turn none, out1 8" in arm.import_report.notes
     path.write_text(URDF.replace('effort="100" velocity="1"', 'effort="0" velocity="0"'))
     arm = Arm.load(path)
     assert np.isinf([arm.velocity_limits, arm.force_limits, arm.acceleration_limits]).all()
@@ -364,6 +371,22 @@ def test_what_follows_a_locked_joint_is_locked_and_limits_the_wrong_way_round_ar
             Arm.load(path)
 
 
+@pytest.mark.parametrize(("limit", "span"), [('upper=".4"', [0.0, 0.4]), ('lower="-.3"', [-0.3, 0.0])])
+def test_a_limit_that_an_urdf_leaves_out_is_zero(limit, span, tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace(LIMITS, limit, 1).replace("<mimic", "<none"))
+    np.testing.assert_allclose(Arm.load(path).position_limits[1], span)
+
+
+def test_quaternions_of_an_urdf_which_mujoco_ignores_are_refused(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz=".3 0 .4" quat_xyzw="0 0 1 0"'))
+    with pytest.raises(
+        InputError, match="an origin of the URDF has 'quat_xyzw', which MuJoCo ignores; write it as rpy"
+    ):
+        Arm.load(path)
+
+
 def test_a_planar_base_of_an_urdf_is_held(tmp_path):
     path = tmp_path / "derrick.urdf"
     path.write_text(URDF.replace(TURN.format("continuous", ""), TURN.format("planar", "")))
@@ -400,6 +423,40 @@ def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_
         shutil.rmtree(tmp_path / folder)
 
 
+def test_meshes_of_one_name_in_several_folders_are_several_meshes(tmp_path):
+    """TALOS's gripper was its torso, since their files have one name; and what is seen was what collides."""
+    mesh = '<{0}><geometry><mesh filename="{1}.obj" scale="1 {2} 1"/></geometry></{0}>'
+    post = mesh.format("visual", "seen/part", 1) + mesh.format("collision", "post/part", 1)
+    shapes = (
+        post + mesh.format("collision", "part1", 1),
+        mesh.format("collision", "tube/part", 1),
+        mesh.format("collision", "tube/part", -1),  # MuJoCo names the second scale of a mesh part1
+    )
+    keeps = '<mujoco><compiler discardvisual="false"/></mujoco></robot>'
+    head, *links = URDF.replace("</robot>", keeps).split("</link>")
+    path = tmp_path / "derrick.urdf"
+    path.write_text(head + "".join(f"{shape}</link>{rest}" for shape, rest in zip(shapes, links, strict=True)))
+    for file, edge in (("post/part", ".1"), ("part1", ".2"), ("tube/part", ".4"), ("seen/part", ".7")):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / f"{file}.obj").write_text(TETRAHEDRON.replace(".1", edge))
+    model = Arm.load(path, overlaps="keep", floor="none").model
+    for body, edges in (("post", [0.1, 0.2, 0.7]), ("tube1", [0.4]), ("tube2", [0.4])):
+        centres = model.geom_pos[model.geom_bodyid == model.body(body).id]
+        # The centre of a tetrahedron is at a quarter of its edges.
+        assert sorted(4.0 * centres[:, 2]) == pytest.approx(edges)
+        assert np.sign(centres[:, 1]) == pytest.approx(-1.0 if body == "tube2" else 1.0)
+
+
+def test_a_file_named_relative_to_a_folder_that_is_left_is_compiled_again(tmp_path, monkeypatch):
+    shape = '<collision><geometry><mesh filename="post.obj"/></geometry></collision></link>'
+    (tmp_path / "derrick.urdf").write_text(URDF.replace("</link>", shape, 1))
+    (tmp_path / "post.obj").write_text(TETRAHEDRON)
+    monkeypatch.chdir(tmp_path)
+    arm = Arm.load("derrick.urdf")
+    monkeypatch.chdir(tmp_path.parent)
+    assert arm.with_payload(0.1).model.nmesh == 1
+
+
 def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, monkeypatch):
     shape = '<collision><geometry><mesh filename="package:///hands/meshes/post.obj"/></geometry></collision></link>'
     path = tmp_path / "checkout" / "robots" / "derrick.urdf"
@@ -412,6 +469,8 @@ def test_a_package_is_known_by_its_manifest_and_by_where_ros_looks(tmp_path, mon
     with pytest.raises(FileError, match=r"no folder 'hands' beside .*, nor in ROS_PACKAGE_PATH, holds it"):
         Arm.load(path)
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'none'}:{tmp_path / 'ros'}")
+    assert Arm.load(path).model.nmesh == 1
+    path.write_text(path.read_text().replace("package:///", "model://"))
     assert Arm.load(path).model.nmesh == 1
     monkeypatch.delenv("ROS_PACKAGE_PATH")
     _package_name.cache_clear()

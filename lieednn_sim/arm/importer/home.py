@@ -67,14 +67,14 @@ def move_inside(arm: ModelArm, notes: list[str]) -> Floats:
 
 
 def take_controls(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
-    """Take the controls, by keyframe and actuator, out of a spec's keyframes, since they are for its present actuators.
+    """Take controls, by keyframe and actuator, and activations out of a spec's keyframes: its actuators may change.
 
     Keyframes and actuators without a name get one.
     """
     names = [actuator.name for actuator in spec.actuators]
     commands = {}
     for number, key in enumerate(spec.keys):
-        key.name = key.name or f"key{number}"
+        key.name, key.act = key.name or f"key{number}", []
         if len(key.ctrl):
             commands[key.name] = dict(zip(names, key.ctrl, strict=True))
             key.ctrl = []

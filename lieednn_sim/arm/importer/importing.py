@@ -21,6 +21,7 @@ from lieednn_sim.arm.importer.remarks import draw, facts, remarks
 from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportReport, Servo
 from lieednn_sim.arm.importer.serial_chain import choose_chain
 from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
+from lieednn_sim.arm.limits import RATES
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.arm.view import View, read_view
@@ -58,8 +59,16 @@ def import_model(
         notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
-    named = choose_chain(compiled, qpos, options, mending.planar_joints(joints), notes)
-    qpos = mending.fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
+    # MuJoCo makes three joints of a planar one, without ranges.
+    planar = [joint for joint, element in joints.items() if element.get("type") == "planar"]
+    parts = {f"{joint}_{motion}": joint for joint in planar for motion in ("TX", "TY", "RZ")}
+    named = choose_chain(compiled, qpos, options, parts, notes)
+    if "links" in named:
+        chain, *_ = joint_groups(compiled, named_frames(compiled, named["links"], named.get("base")))
+    else:
+        chain = tuple(chosen_joints(compiled, named["joints"]))
+    first = min(map(int, compiled.jnt_bodyid[[*chain]]), key=lambda body: len(ancestry(compiled, body)))
+    qpos = mending.fix_base(spec, compiled, first, qpos, notes)
 
     def viewed() -> ModelArm:
         now = compile_spec(spec)
@@ -69,7 +78,7 @@ def import_model(
         compiled = compile_spec(spec)
     view = read_view(compiled, kinematics_at(compiled, qpos), name=name, **named)
     mending.tie_stages(spec, compiled, view.couplings, notes)
-    named["limits"] = _limits(view, compiled, mending.velocities(joints, notes), given.get("limits", {}), notes)
+    named["limits"] = _limits(view, compiled, joints, given.get("limits", {}), notes)
     arm = viewed()
     home, samples = move_inside(arm, notes), draw(arm, 64, seed=0)
     if overlaps == "ignore":
@@ -98,29 +107,22 @@ def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
     return rows[~np.isnan(rows).any(axis=1)]
 
 
-def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
-    if "links" in named:
-        joints, *_ = joint_groups(model, named_frames(model, named["links"], named.get("base")))
-    else:
-        joints = tuple(chosen_joints(model, named["joints"]))
-    return min(map(int, model.jnt_bodyid[[*joints]]), key=lambda body: len(ancestry(model, body)))
-
-
 def _limits(
-    view: View, model: Any, urdf: Mapping[str, float], given: Mapping[str, Mapping[str, float]], notes: list[str]
+    view: View, model: Any, joints: mending.Joints, given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
-    """Limits of rates by coordinate: the given ones, or the velocities of a URDF for all joints that it moves."""
-    space = view.fields["space"]
-    most = np.full(len(space), np.inf)
-    for name, velocity in urdf.items():
-        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        rates = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
-        most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))
-    limits = {name: {"velocity": float(v)} for name, v in zip(space.names, most, strict=True) if np.isfinite(v)}
-    if limits:
-        speeds = [f"{v:.3g}" if np.isfinite(v) else "none" for v in most]
-        shown = ", ".join(map("{} {}".format, space.names, speeds))
-        notes.append(f"velocity limits of the URDF [rad/s, m/s]: {shown}")
+    """Limits of rates by coordinate: the given ones, or those of a URDF for all joints that it moves."""
+    space, limits = view.fields["space"], dict[str, dict[str, float]]()
+    for rate, per in zip(RATES, ("", "^2", "^3"), strict=True):
+        most = np.full(len(space), np.inf)
+        for name, limit in mending.rate_limits(joints, rate, notes).items():
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            slopes = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
+            most = np.minimum(most, np.divide(limit, slopes, out=np.full(len(space), np.inf), where=slopes > 0.0))
+        if np.isfinite(most).any():
+            shown = ", ".join(map("{} {:.3g}".format, space.names, most)).replace(" inf", " none")
+            notes.append(f"{rate} limits of the URDF [rad/s{per}, m/s{per}]: {shown}")
+        for name, value in zip(space.names, most, strict=True):
+            limits.setdefault(name, {}).update({rate: float(value)} if np.isfinite(value) else {})
     return {name: {**limits.get(name, {}), **given.get(name, {})} for name in {**limits, **given}}
 
 

@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
+from html import unescape
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,12 +22,14 @@ from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats, StrPath
 
-_PACKAGE = "package://"
+_PACKAGES = "package://", "model://"  # of ROS, and of Gazebo and Drake
 _POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LFS pointer file
 # Most bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
 # Macros that xacro replaces, and comments, which may contain some.
 _MACRO, _COMMENT = re.compile(rb"<xacro:|\$\{|\$\((find|arg|eval|env|optenv) "), re.compile(rb"<!--.*?-->", re.DOTALL)
+# A mesh of a URDF, a quotation mark, and its file; meshes of an MJCF file have no such attribute.
+_MESH = re.compile(r"""(<mesh\b[^>]*?\bfilename\s*=\s*(["'])(.*?)\2[^>]*>)""")
 _ById = dict[str | None, ElementTree.Element]
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
@@ -64,11 +67,28 @@ def read_model(source: Path) -> mujoco.MjSpec:
         raise FileError(f"no such file: {source}")
     check_size(source)
     try:
-        return mujoco.MjSpec.from_file(str(source))
+        return _with_all_meshes(mujoco.MjSpec.from_file(str(source.absolute())), source)
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
     except TypeError:
         raise FileError(f"MuJoCo reads no file with bytes in its path that are not UTF-8: {str(source)!r}") from None
+
+
+def _with_all_meshes(spec: mujoco.MjSpec, source: Path) -> mujoco.MjSpec:
+    """The spec of a file, without MuJoCo's fault to take a URDF's meshes whose files have one name as the same mesh."""
+    with opened(source, _LARGEST) as stream:
+        text = stream.read().decode("utf-8-sig", "replace")
+    meshes = {element: Path(file) for element, _, file in _MESH.findall(text)}
+    if spec.strippath or len({file.stem for file in meshes.values()}) == len(meshes):
+        return spec
+    own = {element: f"{file.stem}_{k}{file.suffix}" for k, (element, file) in enumerate(meshes.items())}
+    files = {unescape(own[element]): unescape(file) for element, _, file in _MESH.findall(text)}
+    renamed = _MESH.sub(lambda match: match[1].replace(match[2] + match[3], match[2] + own[match[1]]), text)
+    apart = mujoco.MjSpec.from_string(renamed)
+    apart.modelfiledir = spec.modelfiledir
+    for mesh in apart.meshes:
+        mesh.file = files[mesh.file]
+    return apart
 
 
 def macros_left(path: Path) -> InputError:
@@ -93,12 +113,12 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _resolve_packages(spec: mujoco.MjSpec, source: Path) -> None:
-    """Resolve file names of the form ``package://NAME/...`` and ``file://...``."""
+    """Resolve file names of the form ``package://NAME/...``, ``model://NAME/...`` and ``file://...``."""
     for element in (*spec.meshes, *spec.textures):
         scheme, _, path = element.file.partition("://")
         if scheme == "file":
             element.file = path
-        elif scheme == "package":
+        elif element.file.startswith(_PACKAGES):
             package, _, inside = path.lstrip("/").partition("/")
             candidates = (folder / inside for folder in _folders(package, source))
             element.file = str(next((file for file in candidates if is_file(file)), element.file))
@@ -158,8 +178,8 @@ def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
     meshes = [("meshdir", element) for element in (*spec.meshes, *spec.hfields, *spec.skins)]
     for folder, element in (*meshes, *(("texturedir", texture) for texture in spec.textures)):
         if element.file:
-            if element.file.startswith(_PACKAGE):
-                package = element.file.removeprefix(_PACKAGE).lstrip("/").partition("/")[0]
+            if element.file.startswith(_PACKAGES):
+                package = element.file.partition("://")[2].lstrip("/").partition("/")[0]
                 where = f"no folder {package!r} beside {own.absolute()} or above, nor in ROS_PACKAGE_PATH, holds it"
                 yield f"{element.file} ({where})", None
                 continue
@@ -274,15 +294,15 @@ def _placed(node: ElementTree.Element, outer: Floats, elements: _ById) -> Iterat
         if _tag(child) == "node":
             yield from _placed(child, inner, elements)
         elif _tag(child) == "instance_node":
-            yield from _placed(elements[_reference(child, "url")], inner, elements)
+            yield from _placed(elements[child.get("url", "").removeprefix("#")], inner, elements)
         elif _tag(child) == "instance_geometry":
-            for points in _positions(elements[_reference(child, "url")], elements):
+            for points in _positions(elements[child.get("url", "").removeprefix("#")], elements):
                 yield points @ inner[:3, :3].T + inner[:3, 3]
 
 
 def _positions(geometry: ElementTree.Element, elements: _ById) -> Iterator[Floats]:
     for given in geometry.iterfind(".//{*}input[@semantic='POSITION']"):
-        source = elements[_reference(given, "source")]
+        source = elements[given.get("source", "").removeprefix("#")]
         numbers = source.findtext(".//{*}float_array", "").split()
         stride = next((int(accessor.get("stride", "3")) for accessor in source.iterfind(".//{*}accessor")), 3)
         yield np.array(numbers, dtype=np.float64).reshape(-1, stride)[:, :3]
@@ -304,7 +324,3 @@ def _transform(kind: str, values: Floats) -> Floats:
 
 def _tag(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2]
-
-
-def _reference(element: ElementTree.Element, name: str) -> str:
-    return element.get(name, "").removeprefix("#")

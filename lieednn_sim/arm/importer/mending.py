@@ -1,6 +1,6 @@
 """What a file needs before it can be an arm: possible inertias, a base that stands, stiff ties.
 
-And what MuJoCo leaves out of a URDF: limits that lock a joint or are wrong, planar joints, limits of velocities.
+And what MuJoCo leaves out of a URDF: limits that lock a joint or are wrong, planar joints, limits of rates.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
     except ElementTree.ParseError as error:
         notes.append(f"limits of velocities, and joints without limits, could not be read of the URDF: {error}")
         return {}
+    if robot.find(".//origin[@quat_xyzw]") is not None:
+        raise InputError("an origin of the URDF has 'quat_xyzw', which MuJoCo ignores; write it as rpy")
     turns = [origin.get("rpy", "") for origin in robot.iter("origin")]
     if many := [turn for turn in turns if np.abs(np.array(turn.split(), dtype=float)).max(initial=0.0) > TURN]:
         notes.append(f"an origin of the URDF has rpy={many[0]!r}: are its angles in degrees?")
@@ -59,10 +61,12 @@ def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
             raise InputError(f"joint {name!r} of the URDF has the lower limit {low:g} above the upper one, {high:g}")
         if (leader := element.find("mimic")) is not None and leader.get("joint") not in joints:
             notes.append(f"{name}: moves by itself: the URDF has no joint {leader.get('joint')!r} to mimic")
-        if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
+        if limit is None or not (given := {"lower", "upper"}.intersection(limit.keys())):
             notes.append(f"{name}: {kind}, but without limits in the URDF")
         elif low == high:
             _lock(spec, joint, low, locked)
+        elif len(given) == 1:  # the other one is zero, but MuJoCo would have no limits
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     if locked:
         notes.append(f"locked by equal limits in the URDF: {', '.join(locked)}")
         if not spec.joints:
@@ -86,21 +90,16 @@ def _lock(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, locked: lis
     spec.delete(joint)
 
 
-def planar_joints(joints: Joints) -> dict[str, str]:
-    """The URDF's planar joints, which have no ranges, by the names of those that MuJoCo makes of them."""
-    planar = [name for name, element in joints.items() if element.get("type") == "planar"]
-    return {f"{name}_{motion}": name for name in planar for motion in ("TX", "TY", "RZ")}
-
-
-def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
-    """The velocity limits of joints [rad/s, m/s]; zero counts as none; empty, with a note, if they are unreadable."""
-    limits = {name: element.find("limit") for name, element in joints.items()}
+def rate_limits(joints: Joints, rate: str, notes: list[str]) -> dict[str, float]:
+    """The limits of a rate of `limits.RATES`; zero counts as none; empty, with a note, if they are unreadable."""
+    limits = {name: limit for name, element in joints.items() if (limit := element.find("limit")) is not None}
+    both = [rate, "deceleration"] if rate == "acceleration" else [rate]
     try:
-        result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
+        found = {name: [float(limit.get(each, "0")) for each in both] for name, limit in limits.items()}
     except ValueError as error:
-        notes.append(f"velocity limits, if there are any, could not be read: {error}")
+        notes.append(f"{rate} limits, if there are any, could not be read: {error}")
         return {}
-    return {name: velocity for name, velocity in result.items() if velocity > 0.0}
+    return {name: min(value for value in each if value > 0.0) for name, each in found.items() if max(each) > 0.0}
 
 
 def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
@@ -111,6 +110,9 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """
     mended, massless, guessed = [], [], []
     for body in spec.bodies[1:]:
+        if body.joints and body.explicitinertial and body.mass == 0.0:
+            body.explicitinertial, body.ipos, body.fullinertia = False, np.full(3, np.nan), np.full(6, np.nan)
+            notes.append(f"{body.name}: a mass of zero is taken as no <inertial>")
         if not body.explicitinertial and len(body.geoms):
             body.gravcomp = 1.0
             guessed.append(body.name)

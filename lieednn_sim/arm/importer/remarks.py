@@ -48,35 +48,24 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
             yield f"{name} may move by {span:.3g} m: are its limits in millimetres?"
     if (size := arm.model.stat.extent) > 200.0:  # [m]
         yield f"the model is {size:.3g} m large: are its lengths in millimetres?"
-    yield from _half_turns(arm, groups, np.vstack([home, samples]))
-    yield from _shapes(arm)
-    yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
-    for first, second in arm.contacts(home):
-        yield f"bodies {first!r} and {second!r} touch at home"
-    yield from _straight_paths(arm, home)
-    yield from _singular_links(arm, groups, home, samples)
-
-
-def _half_turns(arm: ModelArm, groups: Sequence[Sequence[str]], q: Floats) -> Iterator[str]:
-    """Compound joints of several hinges that come near half a turn at one of the configurations."""
-    turns = np.linalg.norm(arm.encode(q)[..., :3], axis=-1).max(axis=0)
-    for i, (group, turn) in enumerate(zip(groups, turns, strict=True), start=1):
-        if len(group) > 1 and turn > 0.95 * np.pi and arm.joints.joints[i - 1].screw is None:
+    turned = np.linalg.norm(arm.encode(np.vstack([home, samples]))[..., :3], axis=-1).max(axis=0)
+    for i, (compound, turn) in enumerate(zip(arm.joints.joints, turned, strict=True), start=1):
+        if len(groups[i - 1]) > 1 and turn > 0.95 * np.pi and compound.screw is None:
             why = f"link {i} may turn by {turn:.3g} rad against link {i - 1}"
             yield f"{why}; the logarithm is unique below pi: name more links"
-
-
-def _shapes(arm: ModelArm) -> Iterator[str]:
-    """A remark if the arm is invisible, or cannot touch anything."""
-    model = arm.model
-    moving = moved_together(model, arm.dofs)[model.geom_bodyid] > 0
+    moving = moved_together(arm.model, arm.dofs)[arm.model.geom_bodyid] > 0
     if not moving.any():
         yield (
             "no moving body has a geom: the arm is invisible and touches nothing; of a URDF MuJoCo reads <collision>, "
             'and <visual> only with <mujoco><compiler discardvisual="false"/></mujoco> in <robot>'
         )
-    elif not colliding_geoms(model)[moving].any():
+    elif not colliding_geoms(arm.model)[moving].any():
         yield "no geom of a moving body can collide: the arm passes through obstacles and through itself"
+    yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
+    for first, second in arm.contacts(home):
+        yield f"bodies {first!r} and {second!r} touch at home"
+    yield from _straight_paths(arm, home)
+    yield from _singular_links(arm, groups, home, samples)
 
 
 def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:

@@ -163,7 +163,13 @@ def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurati
     the fastest with which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones,
     since other parts may be slow by themselves. Then all are, until the steps are stable at all configurations.
     """
-    model = without_stops(compile_spec(spec))
+    model = compile_spec(spec)
+    if model.nhistory:  # MuJoCo does not linearise delays
+        undelayed = spec.copy()
+        for element in (*undelayed.actuators, *undelayed.sensors):
+            element.delay, element.nsample = 0.0, 0
+        model = compile_spec(undelayed)
+    without_stops(model)
     slower = dict.fromkeys(actuators, 1.0)
 
     def decay(rows: Floats) -> float:
