@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Sequence
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -17,6 +19,7 @@ Indices = NDArray[np.int_]
 
 # A residual below this [m, rad] is rounding.
 EXACT = 1e-12
+_KEPT = threading.local()
 
 
 def least_squares(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
@@ -51,9 +54,8 @@ class Residuals:
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, equalities: Sequence[int], joints: Sequence[int]
     ) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        self._data.eq_active[:] = np.isin(np.arange(model.neq), equalities)
+        active = np.isin(np.arange(model.neq), equalities)
+        self._model, self._state = model, (data.mocap_pos.copy(), data.mocap_quat.copy(), active)
         self._sparse = bool(mujoco.mj_isSparse(model))
         self.dofs = dof_addresses(model, joints)
         self.given = np.setdiff1d(np.arange(model.nq), position_addresses(model, joints))
@@ -61,6 +63,15 @@ class Residuals:
         self.involved = dof_addresses(model, involved)
         self.known = np.setdiff1d(self.involved, self.dofs)
         self.turning = self.involved[turns(model, self.involved)]
+
+    @property
+    def _data(self) -> mujoco.MjData:
+        """The data of this thread, since several may use an arm at once, such as those of the live view."""
+        of_thread = _KEPT.__dict__.setdefault("data", WeakKeyDictionary())
+        if self not in of_thread:
+            data = of_thread[self] = mujoco.MjData(self._model)
+            data.mocap_pos[:], data.mocap_quat[:], data.eq_active[:] = self._state
+        return of_thread[self]
 
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
