@@ -218,7 +218,7 @@ def status(snapshot: Snapshot) -> str:
     if session.paused:
         pace = f"{tick.time:.1f} s, paused"
     elif session.achieved <= 0.95 * session.speed:
-        pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {session.speed:g} times</b>'
+        pace = f'<b style="color:{_BAD}">{pace} instead of {session.speed:g}: this machine is too slow</b>'
     if (way := session.way) is not None and not way.clearance.reason:
         where = "inside" if way.holds(tick.q) else f'<b style="color:{_BAD}">outside</b>'
         proved = f'<b style="color:{_GOOD if way.clearance.proved else _BAD}">{way.clearance.at()}</b>'
@@ -240,7 +240,8 @@ def _proof(snapshot: Snapshot) -> str:
 
 
 def _millimetres(value: float) -> str:
-    return f"{1e3 * value:.3g} mm" if abs(value) >= 1e-6 else "below 1 µm"
+    text = np.format_float_positional(1e3 * value, 3, fractional=False, trim="-")
+    return f"{text} mm" if abs(value) >= 1e-6 else "below 1 µm"
 
 
 def _degrees(value: float) -> str:

@@ -23,6 +23,8 @@ from lieednn_sim.values import Floats, check_fields
 #: Policies of the package that need a planned motion, and those that follow one if it is given.
 PLANNED = "dmp", "tracker"
 FOLLOWERS = "lieednn-chunks", "lieednn-replanning", *PLANNED
+#: Duration of the motions that are planned for policies, and the longest one, which slow arms need [s].
+DURATION = (4.0, 60.0)
 
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
@@ -55,7 +57,7 @@ class PolicyTask:
     @cached_property
     def motion(self) -> Motion:
         """The motion to track or to imitate: the one that was given, or one that the default planner makes."""
-        given = self.given or plan(self.arm, self.target, start=self.start, seed=self.seed)
+        given = self.given or plan(self.arm, self.target, start=self.start, duration=DURATION, seed=self.seed)
         return given.motion if isinstance(given, Plan) else given
 
 

@@ -40,7 +40,7 @@ from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.policies.exporting import write_policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
-from lieednn_sim.policies.making import PolicyTask
+from lieednn_sim.policies.making import DURATION, PolicyTask
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, StrPath
@@ -242,7 +242,10 @@ class CertifiedPolicyOptions(NetworkOptions):
 
 def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
     """A network along the motion of the planner ``lieednn-shaped``."""
-    result = plan(task.arm, task.target, planner="lieednn-shaped", start=task.start, options=options, seed=task.seed)
+    arm, planner = task.arm, "lieednn-shaped"
+    result = plan(
+        arm, task.target, planner=planner, start=task.start, duration=DURATION, seed=task.seed, options=options
+    )
     network, motion = result.network, result.motion
     assert isinstance(network, LieEDNN)
     if options.rate == 1.0 and network.n_hidden:

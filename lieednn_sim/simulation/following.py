@@ -92,9 +92,8 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = before(total * arm.timestep, arm.timestep, disturbances)
-    name = default_controller(arm).replace("position-servo", "inverse-dynamics") if controller is None else controller
-    loop = ClosedLoop(policy, name, changes, rows=total + 1)
-    period, simulation = loop.period, loop.simulation
+    loop = ClosedLoop(policy, controller, changes, rows=total + 1)
+    period, simulation, name = loop.period, loop.simulation, loop.controller
     if period > total:
         raise InputError(
             f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
@@ -124,6 +123,11 @@ def follow(
     return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))
 
 
+def policies_controller(arm: Arm) -> str:
+    """Name of the controller by which policies drive an arm by default."""
+    return default_controller(arm).replace("position-servo", "inverse-dynamics")
+
+
 class ClosedLoop:
     """A policy that runs a simulated arm, and is asked once in every control period.
 
@@ -138,17 +142,21 @@ class ClosedLoop:
 
     Attributes:
         period: simulation steps in a control period.
+        controller: the name of the controller.
         driver, reference: the controller, and its reference.
 
     Raises:
         InputError: the rates do not fit, or the controller is unknown or cannot drive the arm.
     """
 
-    def __init__(self, policy: Policy, controller: str, disturbances: Disturbances, rows: int | None = None) -> None:
+    def __init__(
+        self, policy: Policy, controller: str | None, disturbances: Disturbances, rows: int | None = None
+    ) -> None:
         arm = policy.arm
+        self.controller = policies_controller(arm) if controller is None else controller
         self.policy, self.period = policy, steps_of_rate("the policy's rate", policy.rate, arm.timestep)
         self.reference = Reference(arm, _KEPT_PERIODS * self.period if rows is None else rows)
-        self.driver, self.simulation = make_controlled(arm, controller, self.reference, disturbances)
+        self.driver, self.simulation = make_controlled(arm, self.controller, self.reference, disturbances)
         self._between, self._forgotten = interpolator(policy.period, self.period), 0
         self._endless = rows is None
 
