@@ -77,7 +77,11 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
         # Only as many modes as there are at all instants; modes that are overdamped somewhere come last.
         for k, of_one in enumerate(zip(*modes, strict=False)):
             label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
-            axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
+            # Lines drawn first are wider, so that equal ones are all visible.
+            axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], lw=max(4.0 - 2.0 * k, 1.0), label=label)
+        axis.grid(True, which="both")
+        low, high = axis.get_ylim()
+        axis.set_ylim(0.8 * low, 1.25 * high)  # so that small changes look small
         for each in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
             each("{x:g}")
 
@@ -102,7 +106,7 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
         for stretch in rollout.clearance.unproved:
             axis.axvspan(*stretch, color=layout.COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
         axis.plot(rollout.t[some], distance, color=layout.COLOURS[0], label="measured at samples")
-        axis.set_ylim(low, high)
+        axis.set_ylim(low, 1.02 * high)  # the line is not cut at the edge
 
 
 def plot_network(rollout: Rollout, path: StrPath) -> None:
