@@ -36,9 +36,9 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
     for group, members in commands.items():
         lines.append(f"{group}:")
         for command, module in members.items():
-            summary = definition(module, command).docstring.partition("\n")[0]
-            text = f"{command:<10}{summary[0].lower()}{summary[1:].rstrip('.')}"
-            lines += textwrap.wrap(text, width, initial_indent="  ", subsequent_indent=12 * " ")
+            summary = definition(module, command).docstring.partition("\n")[0].rstrip(".")
+            text = f"  {command:<10}{summary[0].lower()}{summary[1:]}"
+            lines += textwrap.wrap(text, width, subsequent_indent=12 * " ")
         lines.append("")
     last = f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"
     return "\n".join([*lines, *textwrap.wrap(last, width)])

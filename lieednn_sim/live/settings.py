@@ -9,8 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.planning import default_planner
 from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
-from lieednn_sim.simulation import Disturbances
-from lieednn_sim.simulation.following import policies_controller
+from lieednn_sim.simulation import Disturbances, default_controller
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import check_fields
 
@@ -58,10 +57,9 @@ class Settings:
 
     def chosen(self, arm: Arm) -> Settings:
         """The settings, with fields that are None replaced by the defaults for an arm."""
-        planner = default_planner(arm)[0] if self.planner is None else self.planner
-        controller = policies_controller(arm) if self.controller is None else self.controller
-        filtered = arm.scene != "free" if self.filtered is None else self.filtered
-        return replace(self, planner=planner, controller=controller, filtered=filtered)
+        usual: Any = {"planner": default_planner(arm)[0], "controller": default_controller(arm, policy=True)}
+        usual["filtered"] = arm.scene != "free"
+        return replace(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})
 
     @property
     def disturbances(self) -> Disturbances:

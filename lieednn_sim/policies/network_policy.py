@@ -33,14 +33,14 @@ from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.stepping import RungeKuttaStepper
-from lieednn_sim.planning import ShapedOptions, plan
+from lieednn_sim.planning import ShapedOptions
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.policies.exporting import write_policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
-from lieednn_sim.policies.making import DURATION, PolicyTask
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, StrPath
@@ -242,10 +242,7 @@ class CertifiedPolicyOptions(NetworkOptions):
 
 def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
     """A network along the motion of the planner ``lieednn-shaped``."""
-    arm, planner = task.arm, "lieednn-shaped"
-    result = plan(
-        arm, task.target, planner=planner, start=task.start, duration=DURATION, seed=task.seed, options=options
-    )
+    result = task.plan(planner="lieednn-shaped", options=options)
     network, motion = result.network, result.motion
     assert isinstance(network, LieEDNN)
     if options.rate == 1.0 and network.n_hidden:

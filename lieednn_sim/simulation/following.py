@@ -123,11 +123,6 @@ def follow(
     return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))
 
 
-def policies_controller(arm: Arm) -> str:
-    """Name of the controller by which policies drive an arm by default."""
-    return default_controller(arm).replace("position-servo", "inverse-dynamics")
-
-
 class ClosedLoop:
     """A policy that runs a simulated arm, and is asked once in every control period.
 
@@ -142,23 +137,20 @@ class ClosedLoop:
 
     Attributes:
         period: simulation steps in a control period.
-        controller: the name of the controller.
-        driver, reference: the controller, and its reference.
+        controller, driver, reference: the controller's name, itself, and its reference.
 
     Raises:
         InputError: the rates do not fit, or the controller is unknown or cannot drive the arm.
     """
 
-    def __init__(
-        self, policy: Policy, controller: str | None, disturbances: Disturbances, rows: int | None = None
-    ) -> None:
+    def __init__(self, policy: Policy, controller: str | None, disturbances: Disturbances, rows: int = 0) -> None:
         arm = policy.arm
-        self.controller = policies_controller(arm) if controller is None else controller
+        self.controller = default_controller(arm, policy=True) if controller is None else controller
         self.policy, self.period = policy, steps_of_rate("the policy's rate", policy.rate, arm.timestep)
-        self.reference = Reference(arm, _KEPT_PERIODS * self.period if rows is None else rows)
+        self.reference = Reference(arm, rows or _KEPT_PERIODS * self.period)
         self.driver, self.simulation = make_controlled(arm, self.controller, self.reference, disturbances)
         self._between, self._forgotten = interpolator(policy.period, self.period), 0
-        self._endless = rows is None
+        self._endless = not rows
 
     def begin(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Put the arm at joint coordinates ``(n,)`` with rates, by default zero; its reference is the policy's."""
