@@ -63,7 +63,7 @@ myst_heading_anchors = 3
 
 templates_path = ["_templates"]
 default_role = "name"
-smartquotes_action = "De"  # dashes and dots, no quotes: the primes of derivatives stay
+smartquotes_action = "e"  # dots alone: the primes of derivatives stay, and the dashes of options
 add_module_names = False
 python_maximum_signature_line_length = 90
 autosummary_generate = True

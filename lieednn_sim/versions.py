@@ -37,7 +37,6 @@ def commit() -> str:
         return ""
     git = ["git", "--no-optional-locks", "-C", str(root), "describe"]
     git += ["--always", "--abbrev=12", "--exclude=*", "--dirty"]
-    try:
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
         return subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL, timeout=10.0).strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
+    return ""

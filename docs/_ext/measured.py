@@ -1,6 +1,6 @@
 """Measured results on pages: `include` of a file below results/reference, with the command and the date first.
 
-The file's own title gives way to that of the page; a .csv file becomes a table.
+The file's own title gives way to that of the page; a .csv file becomes a table. In cells, numbers stay together.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ def arrange(app: Sphinx, path: Path, _: str, content: list[str]) -> None:
         return f"](/{Path(os.path.relpath(target, app.srcdir)).as_posix()}" if target.is_file() else match[0]
 
     text = re.sub(r"\]\(([^)#:]+)", from_docs, text)
+    text = re.sub(r"^\|.*\|$", lambda row: _together(row[0]), text, flags=re.MULTILINE)
     # An image with a width is a link to the whole picture.
     text = re.sub(r"^(!\[.*\))$", r'\1{.chart width="100%"}', text, flags=re.MULTILINE)
     content[0] = f"{_origin(file)}\n\n{text}"
@@ -58,6 +59,13 @@ def _origin(file: Path) -> str:
     # The CPU time of a study that was interrupted is not known.
     spent = f"{study['wall_s']:.0f} s" if study["cpu_s"] is None else f"{study['cpu_s']:.0f} s of CPU time"
     return f"Made on {study['date']} by `{study['command']}`, in {spent} on {study['cores']} cores, with {versions}."
+
+
+def _together(row: str) -> str:
+    """A row whose "19 of 20", "84% to 100%" and "1 / 2 / 3 / 4" are on one line, or the latter in pairs on two."""
+    row = re.sub(r"(?<=[\d%]) (of|to|/) (?=-?[\d.])", "\N{NO-BREAK SPACE}\\1\N{NO-BREAK SPACE}", row)
+    four = r"(\S+\xa0/\xa0\S+\xa0/)\xa0(\S+\xa0/\xa0\S+)"
+    return re.sub(four, r"\1 \2", row)
 
 
 def _short(cell: str) -> str:

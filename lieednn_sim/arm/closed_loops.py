@@ -35,7 +35,7 @@ class ClosedLoops:
     """The joints that equality constraints of closed loops move when others are given.
 
     A solution is followed from the model's state along a straight line in the given joints, so that the loops stay on
-    the branch of the state. It does not depend on earlier calls. It uses one `mujoco.MjData`: one thread at a time.
+    the branch of the state. It does not depend on earlier calls.
 
     The dependent joints of the loops' equalities are moved by the drivers, dofs of the independent joints; ``follow``
     sets the joints of ``(nq,)`` that follow those in closed form, in place. `NoSolutionError` if the loops cannot be
@@ -222,18 +222,18 @@ class ClosedLoops:
     def _solution_near(self, row: Floats) -> _Solution | None:
         """The solution on a grid point of the independent joints near ``row``; None where it is not reached."""
         steps = np.rint(self._residuals.difference(self._reference.qpos, row)[self._drivers] / self._grid)
-        key = tuple(map(int, steps))
-        if key not in self._near:
+        key, known = tuple(map(int, steps)), self._near
+        if key not in known:
             motion = np.zeros(self._model.nv)
             motion[self._drivers] = steps * self._grid
             target = self._reference.qpos.copy()
             mujoco.mj_integratePos(self._model, target, motion, 1.0)
             self._follow(target)
-            if len(self._near) >= GRID_SIZE:
-                self._near.clear()
+            if len(known) >= GRID_SIZE:
+                self._near = known = {}  # another thread may be reading the old ones
             solution, reached = self._track(self._reference, target)
-            self._near[key] = solution if reached == 1.0 else None
-        return self._near[key]
+            known[key] = solution if reached == 1.0 else None
+        return known[key]
 
     def _check_determined(self) -> None:
         """Raise `InputError` if dependent joints can move alone, `NoSolutionError` if they are singular."""

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from functools import partial
+from threading import get_ident
 
 import numpy as np
 import scipy
@@ -51,9 +55,11 @@ class Residuals:
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, equalities: Sequence[int], joints: Sequence[int]
     ) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        self._data.eq_active[:] = np.isin(np.arange(model.neq), equalities)
+        own = mujoco.MjData(model)
+        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        own.eq_active[:] = np.isin(np.arange(model.neq), equalities)
+        # A copy for each thread, since several may use an arm at once, such as those of the live view.
+        self._model, self._data = model, defaultdict[int, mujoco.MjData](partial(copy.copy, own))
         self._sparse = bool(mujoco.mj_isSparse(model))
         self.dofs = dof_addresses(model, joints)
         self.given = np.setdiff1d(np.arange(model.nq), position_addresses(model, joints))
@@ -64,7 +70,7 @@ class Residuals:
 
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
-        model, data = self._model, kinematics_at(self._model, qpos, self._data)
+        model, data = self._model, kinematics_at(self._model, qpos, self._data[get_ident()])
         mujoco.mj_comPos(model, data)
         if model.ntendon:
             mujoco.mj_tendon(model, data)
@@ -119,7 +125,7 @@ class Residuals:
 
     def owners(self, rows: NDArray[np.bool_]) -> str:
         """The equalities of some rows ``(E,)`` of the residual."""
-        ids = self._data.efc_id[np.flatnonzero(rows)]
+        ids = self._data[get_ident()].efc_id[np.flatnonzero(rows)]
         return ", ".join(dict.fromkeys(equality_name(self._model, int(equality)) for equality in ids))
 
 

@@ -7,6 +7,7 @@ import difflib
 import importlib
 import re
 import shlex
+import shutil
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -30,15 +31,17 @@ def definition(module: str, command: str) -> Definition:
 
 def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str:
     """The help of the program: its commands by groups, with the first lines of their docstrings."""
-    lines = [f"usage: {_PROGRAM} COMMAND ...", "", *textwrap.wrap(description, 100), ""]
+    width = max(shutil.get_terminal_size().columns - 2, 24)  # like argparse
+    lines = [f"usage: {_PROGRAM} COMMAND ...", "", *textwrap.wrap(description, width), ""]
     for group, members in commands.items():
         lines.append(f"{group}:")
         for command, module in members.items():
-            summary = definition(module, command).docstring.partition("\n")[0]
-            lines.append(f"  {command:<12}{summary[0].lower()}{summary[1:].rstrip('.')}")
+            summary = definition(module, command).docstring.partition("\n")[0].rstrip(".")
+            text = f"  {command:<10}{summary[0].lower()}{summary[1:]}"
+            lines += textwrap.wrap(text, width, subsequent_indent=12 * " ")
         lines.append("")
     last = f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"
-    return "\n".join([*lines, last])
+    return "\n".join([*lines, *textwrap.wrap(last, width)])
 
 
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:

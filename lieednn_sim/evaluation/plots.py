@@ -77,7 +77,8 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
         # Only as many modes as there are at all instants; modes that are overdamped somewhere come last.
         for k, of_one in enumerate(zip(*modes, strict=False)):
             label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
-            axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
+            axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], lw=max(4.0 - 2.0 * k, 1.0), label=label)
+        axis.set_ylim(*np.multiply(axis.get_ylim(), (0.8, 1.25)))  # so that small changes look small
         for each in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
             each("{x:g}")
 
@@ -95,6 +96,8 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
     if not isinstance(bounds, str):
         t, *tracked = rollout.tracked
         least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:]), FAR)[0] - rollout.slack
+    for begin, end in rollout.clearance.unproved:
+        least[(rollout.t[some[1:]] > begin) & (rollout.t[some[:-1]] < end)] = 0.0
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
     with layout.over_time(rollout, path, "[mm]", f"distance from contact, up to {high:g} mm") as axis:
         proved = {"fill": True, "color": layout.COLOURS[2], "alpha": 0.4, "label": "proved"}
@@ -102,7 +105,7 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
         for stretch in rollout.clearance.unproved:
             axis.axvspan(*stretch, color=layout.COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
         axis.plot(rollout.t[some], distance, color=layout.COLOURS[0], label="measured at samples")
-        axis.set_ylim(low, high)
+        axis.set_ylim(low, 1.02 * high)  # the line is not cut at the edge
 
 
 def plot_network(rollout: Rollout, path: StrPath) -> None:

@@ -68,10 +68,9 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
     def open(self) -> bool:
         """Open the page in a browser; False if there is none."""
-        try:
+        with contextlib.suppress(webbrowser.Error):
             return webbrowser.open(self.url)
-        except webbrowser.Error:
-            return False
+        return False
 
     def wait(self) -> None:
         """Wait until `close` is called, or until Ctrl-C."""
@@ -177,9 +176,6 @@ def view(
 
 
 def _usual_target(arm: Arm, seed: int) -> Floats | str:
-    if goes_to_extended(arm):
-        return "extended"
-    try:
-        return draw_target(arm, seed)
-    except NoSolutionError:
-        return "home"
+    with contextlib.suppress(NoSolutionError):
+        return "extended" if goes_to_extended(arm) else draw_target(arm, seed)
+    return "home"

@@ -14,6 +14,7 @@ from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.live.engine import Tick, certificate_of, network_policy
@@ -182,9 +183,7 @@ class ArmScene:
             self._planned.visible = path is not None
             if path is not None:
                 self._planned.points = viser_scene.segments(path)
-        pushed = bool(tick.force.any())
-        if pushed != self._arrow.visible:
-            self._arrow.visible = pushed
+        self._arrow.visible = pushed = bool(tick.force.any())
         if pushed:
             # 3 mm per newton, at most 0.8 m.
             length = min(3e-3, 0.8 / float(np.linalg.norm(tick.force))) * self._scale
@@ -194,13 +193,8 @@ class ArmScene:
 def status(snapshot: Snapshot) -> str:
     """What the policy does, what is proved about it, and its errors: HTML that is readable on dark and on white."""
     session, tick, progress = snapshot.session, snapshot.tick, snapshot.tick.progress
-    problem = snapshot.aimed.problem or session.failure
-    if problem:
-        said, colour = problem, _BAD
-    elif session.busy:
-        said, colour = "plans", _IDLE
-    else:
-        said, colour = snapshot.state, "inherit"
+    usual = ("plans", _IDLE) if session.busy else (snapshot.state, "inherit")
+    said, colour = (problem, _BAD) if (problem := snapshot.aimed.problem or session.failure) else usual
     rows = [
         ("policy", escape(tick.policy or "waits for a policy")),
         ("proof", _proof(snapshot)),
@@ -218,7 +212,7 @@ def status(snapshot: Snapshot) -> str:
     if session.paused:
         pace = f"{tick.time:.1f} s, paused"
     elif session.achieved <= 0.95 * session.speed:
-        pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {session.speed:g} times</b>'
+        pace = f'<b style="color:{_BAD}">{pace} instead of {session.speed:g}: this machine is too slow</b>'
     if (way := session.way) is not None and not way.clearance.reason:
         where = "inside" if way.holds(tick.q) else f'<b style="color:{_BAD}">outside</b>'
         proved = f'<b style="color:{_GOOD if way.clearance.proved else _BAD}">{way.clearance.at()}</b>'
@@ -240,7 +234,7 @@ def _proof(snapshot: Snapshot) -> str:
 
 
 def _millimetres(value: float) -> str:
-    return f"{1e3 * value:.3g} mm" if abs(value) >= 1e-6 else "below 1 µm"
+    return f"{rounded(1e3 * value)} mm" if abs(value) >= 1e-6 else "below 1 µm"
 
 
 def _degrees(value: float) -> str:

@@ -278,8 +278,8 @@ class Session:
     def _retarget(self, q: Floats) -> None:
         self._engine.retarget(q)
         self.aimed, self.failure = self._pose_of(q), ""
-        # A policy that plays a motion does not look at the target.
-        if self.wanted.policy == "tracker":
+        # A policy that plays a motion does not look at the target, and one that could not be made may be made for it.
+        if self.wanted.policy == "tracker" or (self._served is None and not self.busy):
             self._served = None
             self._remake()
         self._foresee()

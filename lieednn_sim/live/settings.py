@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.planning import default_planner
 from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
-from lieednn_sim.simulation import Disturbances
+from lieednn_sim.simulation import Disturbances, default_controller
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import check_fields
 
@@ -23,7 +23,7 @@ class Settings:
         planner: a name of `PLANNERS`, for policies that follow a plan; by default the arm's `default_planner`.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.
-        controller: a name of `CONTROLLERS`.
+        controller: of `CONTROLLERS`; by default ``inverse-dynamics`` for servos, else ``feedback-linearisation``.
         payload: mass at the end effector that policy and controller do not know [kg].
         mass_scale: true masses relative to those that the controller knows.
 
@@ -36,7 +36,7 @@ class Settings:
     planner: str | None = None
     rho: float = 1.0
     filtered: bool | None = None
-    controller: str = "inverse-dynamics"
+    controller: str | None = None
     payload: float = 0.0
     mass_scale: float = 1.0
 
@@ -44,7 +44,8 @@ class Settings:
         POLICIES.find(self.policy)
         if self.planner is not None:
             PLANNERS.require(self.planner)
-        CONTROLLERS.find(self.controller)
+        if self.controller is not None:
+            CONTROLLERS.find(self.controller)
         check_fields(self, as_positive, "rho")
         self.disturbances  # noqa: B018 (checks the numbers)
 
@@ -56,8 +57,9 @@ class Settings:
 
     def chosen(self, arm: Arm) -> Settings:
         """The settings, with fields that are None replaced by the defaults for an arm."""
-        planner = default_planner(arm)[0] if self.planner is None else self.planner
-        return replace(self, planner=planner, filtered=arm.scene != "free" if self.filtered is None else self.filtered)
+        usual: Any = {"planner": default_planner(arm)[0], "controller": default_controller(arm, policy=True)}
+        usual["filtered"] = arm.scene != "free"
+        return replace(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})
 
     @property
     def disturbances(self) -> Disturbances:

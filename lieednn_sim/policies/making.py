@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -55,8 +55,12 @@ class PolicyTask:
     @cached_property
     def motion(self) -> Motion:
         """The motion to track or to imitate: the one that was given, or one that the default planner makes."""
-        given = self.given or plan(self.arm, self.target, start=self.start, seed=self.seed)
+        given = self.given or self.plan()
         return given.motion if isinstance(given, Plan) else given
+
+    def plan(self, **options: Any) -> Plan:
+        """The plan of `planning.plan`; slow arms get the time that they need."""
+        return plan(self.arm, self.target, start=self.start, duration=(4.0, 60.0), seed=self.seed, **options)
 
 
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:

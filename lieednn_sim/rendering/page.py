@@ -63,9 +63,9 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
         '{darkMode:matchMedia("(prefers-color-scheme: dark)").matches};</script>'
     )
     page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
-    # viser's notice of slow rendering without a graphics card would cover the arm.
-    player_style = "<style>.mantine-Notifications-root { display: none; }</style>"
-    page = page.replace("</head>", f"{given}{player_style}{style}</head>", 1)
+    # viser's notice of slow rendering without a graphics card would cover the arm; its menu of speeds cuts them off.
+    rules = ".mantine-Notifications-root { display: none; } .mantine-Select-wrapper { min-width: 4.6em; }"
+    page = page.replace("</head>", f"{given}<style>{rules}</style>{style}</head>", 1)
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 

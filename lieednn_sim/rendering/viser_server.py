@@ -62,18 +62,15 @@ def refusal(headers: Mapping[str, str], host: str) -> str:
 
 
 def _name(netloc: str) -> str:
-    try:
+    with contextlib.suppress(ValueError):
         return urlsplit(f"//{netloc}").hostname or ""
-    except ValueError:
-        return ""
+    return ""
 
 
 def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return False
 
 
 @contextlib.contextmanager

@@ -92,9 +92,8 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = before(total * arm.timestep, arm.timestep, disturbances)
-    name = default_controller(arm).replace("position-servo", "inverse-dynamics") if controller is None else controller
-    loop = ClosedLoop(policy, name, changes, rows=total + 1)
-    period, simulation = loop.period, loop.simulation
+    loop = ClosedLoop(policy, controller, changes, rows=total + 1)
+    period, simulation, name = loop.period, loop.simulation, loop.controller
     if period > total:
         raise InputError(
             f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
@@ -138,19 +137,20 @@ class ClosedLoop:
 
     Attributes:
         period: simulation steps in a control period.
-        driver, reference: the controller, and its reference.
+        controller, driver, reference: the controller's name, itself, and its reference.
 
     Raises:
         InputError: the rates do not fit, or the controller is unknown or cannot drive the arm.
     """
 
-    def __init__(self, policy: Policy, controller: str, disturbances: Disturbances, rows: int | None = None) -> None:
+    def __init__(self, policy: Policy, controller: str | None, disturbances: Disturbances, rows: int = 0) -> None:
         arm = policy.arm
+        self.controller = default_controller(arm, policy=True) if controller is None else controller
         self.policy, self.period = policy, steps_of_rate("the policy's rate", policy.rate, arm.timestep)
-        self.reference = Reference(arm, _KEPT_PERIODS * self.period if rows is None else rows)
-        self.driver, self.simulation = make_controlled(arm, controller, self.reference, disturbances)
+        self.reference = Reference(arm, rows or _KEPT_PERIODS * self.period)
+        self.driver, self.simulation = make_controlled(arm, self.controller, self.reference, disturbances)
         self._between, self._forgotten = interpolator(policy.period, self.period), 0
-        self._endless = rows is None
+        self._endless = not rows
 
     def begin(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Put the arm at joint coordinates ``(n,)`` with rates, by default zero; its reference is the policy's."""

@@ -80,13 +80,13 @@ def at_rest_after(motion: Motion, rows: int) -> tuple[Floats, Floats]:
     return np.pad(motion.q, extra, "edge"), np.pad(motion.qd, extra)
 
 
-def default_controller(arm: Arm) -> str:
-    """Name of the controller that `simulate` takes by default.
+def default_controller(arm: Arm, *, policy: bool = False) -> str:
+    """Name of the controller that `simulate` takes by default, or, with a ``policy``, `follow` and the live view.
 
     It is ``position-servo`` for arms that are made for it, whose weight is compensated; ``inverse-dynamics`` for these
-    with a payload, and for imported arms that servos drive; otherwise ``feedback-linearisation``.
+    with a payload or policy, and for imported arms that servos drive; otherwise ``feedback-linearisation``.
     """
-    if arm.qpos_home is None and arm.payload == 0.0:
+    if arm.qpos_home is None and arm.payload == 0.0 and not policy:
         return "position-servo"
     return "inverse-dynamics" if arm.state is None and has_servos(arm) else "feedback-linearisation"
 

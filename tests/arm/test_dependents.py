@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from arm.loops import PALLETISER, SCISSOR_LIFT
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 from mechanisms import CRANE, body, compiled, connect, four_bar, hinge, site, slide, tied
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim._mujoco import mujoco
+import lieednn_sim as ls
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import tendon_joints
@@ -291,3 +294,26 @@ def test_followers_in_random_trees_meet_the_equalities(seed):
         assert np.abs(residual).max(initial=0.0) < 1e-9 * max(1.0, np.abs(row).max())
         product = jacobian @ dependents.basis(row)
         assert np.abs(product).max(initial=0.0) < 1e-9 * max(1.0, np.abs(jacobian).max(initial=0.0))
+
+
+def test_threads_that_use_one_arm_do_not_disturb_each_others_loops(monkeypatch):
+    """As in the live view, where a loop, workers and the page use the same arm."""
+    arm = ls.Arm.load("telescopic_crane")
+    home, extended = (arm.qpos(arm.keyframe(name)) for name in ("home", "extended"))
+    alone, measured, inside, done = arm.moving(home), [], threading.Event(), threading.Event()
+
+    def interrupted(*args):
+        result = kinematics_at(*args)
+        if threading.current_thread() is not threading.main_thread():
+            inside.set()
+            done.wait()
+        return result
+
+    monkeypatch.setattr("lieednn_sim.arm.equalities.kinematics_at", interrupted)
+    thread = threading.Thread(target=lambda: measured.append(arm.moving(home)))
+    thread.start()
+    inside.wait()
+    arm.moving(extended)
+    done.set()
+    thread.join()
+    np.testing.assert_array_equal(measured[0], alone)

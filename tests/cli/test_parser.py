@@ -155,7 +155,8 @@ def test_the_options_of_a_planner_are_those_of_its_class(capsys):
             assert f"\n{name}=" in printed, (planner, name)
 
 
-def test_the_help_lists_what_there_is(capsys):
+def test_the_help_lists_what_there_is(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     assert list(registry.ARMS) == arm_names()
     for command in ("demo", "plan"):
         text = help_of(command)
@@ -172,6 +173,7 @@ def test_the_help_lists_what_there_is(capsys):
     assert "--time-budget X largest CPU time for planning [s]; inf for no limit (default: 60)" in help_of("plan")
     assert main(["--help"]) == main([]) == 0
     printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 78
     assert len(ALL) == 12
     for command, module in ALL.items():
         assert f"\n  {command} " in printed

@@ -11,7 +11,8 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.live import session as session_module
 from lieednn_sim.live.panel import Plots
 from lieednn_sim.live.scene import Observer, status
 from lieednn_sim.live.session import Session, Worker
@@ -371,3 +372,29 @@ def test_a_worker_does_the_newest_job_by_one_blas_thread_and_tells_what_failed(m
     assert isinstance(failed[0], ZeroDivisionError)
     assert len(alone) == 2
     worker.close()
+
+
+def test_a_crane_with_a_closed_loop_and_slow_joints_is_driven_by_default(begin):
+    session = begin(Arm.load("telescopic_crane"), settings=Settings(), target="extended")
+    session.advance(2)
+    assert (session.tick.policy, session.wanted.controller) == ("lieednn-shaped", "feedback-linearisation")
+    assert session.failure == ""
+
+
+def test_a_policy_that_could_not_be_made_for_a_target_is_made_for_the_next(begin, monkeypatch):
+    made, make_for = [], session_module.make_for
+
+    def first_fails(*args, **options):
+        made.append(args)
+        if len(made) == 1:
+            raise PlanError("no way")
+        return make_for(*args, **options)
+
+    monkeypatch.setattr(session_module, "make_for", first_fails)
+    session = begin()
+    session.advance(2)
+    assert (session.tick.policy, session.failure) == ("", "no way")
+    session.aim_at("extended")
+    session.settle()
+    session.advance(2)
+    assert (session.tick.policy, session.failure) == ("linear-attractor", "")

@@ -124,10 +124,7 @@ class ImportReport:
 
     def __str__(self) -> str:
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
-        for i, (link, group) in enumerate(zip(self.links, self.groups, strict=True), start=1):
-            lines.append(f"link {i}: {link}, moved by {', '.join(group)}")
+        lines += [f"link {i + 1}: {link}, moved by {', '.join(self.groups[i])}" for i, link in enumerate(self.links)]
         found = {"coupled": self.couplings, "servo": self.servos, "oscillates": self.modes, "note": self.notes}
-        for title, entries in found.items():
-            lines += [f"{title}: {entry}" for entry in entries]
-        lines.append(f"other joints: {', '.join(self.others) or 'none'}")
-        return "\n".join(lines)
+        lines += [f"{title}: {entry}" for title, entries in found.items() for entry in entries]
+        return "\n".join([*lines, f"other joints: {', '.join(self.others) or 'none'}"])

@@ -35,7 +35,7 @@ _LINES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS[5], "lw": 1.0, "ls": (0, (5, 1, 1, 1, 1, 1))},
 )
 _FAN: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "ls": "-", "alpha": 0.6}
-_BAND: dict[str, Any] = {"color": COLOURS[0], "lw": 0.0, "alpha": 0.15}
+_BAND: dict[str, Any] = {"color": "#d9eaf3", "lw": 0.3}
 
 
 def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: StrPath) -> None:
@@ -180,8 +180,9 @@ def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int], lab
     across = along[:, ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     seen = covariance[:, view][:, :, view]
     width = 2.0 * np.sqrt(np.einsum("ki,kij,kj->k", across, seen, across))[:, None] * across
-    edges = 1e3 * np.concatenate([path[:, view] + width, (path[:, view] - width)[::-1]])
-    axis.fill(*edges.T, **_BAND, label=label)
+    left, right = 1e3 * (path[:, view] + width), 1e3 * (path[:, view] - width)
+    # By opaque pieces, which may overlap: where the path turns sharply, the edge of the whole would leave holes.
+    axis.fill(*np.stack([left[:-1], left[1:], right[1:], right[:-1]]).transpose(2, 0, 1), **_BAND, label=label)
 
 
 def _seen(displaced: Floats, view: list[int]) -> tuple[Floats, Floats]:
