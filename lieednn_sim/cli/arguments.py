@@ -22,6 +22,7 @@ from lieednn_sim.cli.kinds import KINDS, Directory, Force, Joints, Point, Pose, 
 from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
+from lieednn_sim.planning.problem import USUAL_DURATION
 from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation.disturbances import Disturbances, Push
@@ -86,7 +87,7 @@ class Goal(ChosenArm):
         pose: target pose of the end effector in the world, instead of --target: position [m] and rotation vector
             [rad]; of several, the one that is reached soonest.
         start: joints at the start, given as for --target (default: home).
-        duration: duration of the motion [s] (default: 4).
+        duration: duration of the motion [s] (default: 4; plans of slow arms get up to 60).
         seed: seed of random draws.
     """
 
@@ -99,8 +100,8 @@ class Goal(ChosenArm):
 
     @property
     def asked_duration(self) -> float:
-        """The duration, if need be the default [s]."""
-        return 4.0 if self.duration is None else self.duration
+        """The duration, if need be the shortest by default [s]."""
+        return USUAL_DURATION[0] if self.duration is None else self.duration
 
     def usual_target(self, arm: Arm) -> str | None:
         """The target if none is given: ``extended``; a random one among obstacles, or without such a keyframe."""

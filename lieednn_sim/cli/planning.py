@@ -22,6 +22,7 @@ from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_l
 from lieednn_sim.planning import plan as plan_motion
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.clearance import Clearance
+from lieednn_sim.planning.problem import USUAL_DURATION
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.registry import PLANNERS
 
@@ -77,16 +78,15 @@ def plan_run(
         "payload": payload,
         "option": {} if options is None else asdict(options),
     }
-    about, lasts = {"planner": planner, "reason": reason, "options": shown}, planning.asked_duration
-    task = planning.task(arm, start, start, lasts, planning.seed, **about)
-    own = planner == "lieednn-certified" and not planning.fastest and planning.settle is None
+    about = {"planner": planner, "reason": reason, "options": shown}
+    task = planning.task(arm, start, start, planning.asked_duration, planning.seed, **about)
     with progress("plan"), time_limit(planning.time_budget):
         result = plan_motion(
             arm,
             goal,
             planner=planner,
             start=start,
-            duration=(lasts, lasts) if own else lasts,
+            duration=USUAL_DURATION if planning.duration is None else planning.duration,
             seed=planning.seed,
             options=options,
             fastest=planning.fastest,

@@ -21,7 +21,7 @@ from lieednn_sim.planning.goals import Goal, candidates
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
-from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
+from lieednn_sim.planning.problem import USUAL_DURATION, Duration, Plan, PlanningProblem, durations, in_time
 from lieednn_sim.planning.settling import SettlingOptions, settled
 from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import retime
@@ -116,7 +116,7 @@ def plan(
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
-    duration: Duration = 4.0,
+    duration: Duration = USUAL_DURATION,
     seed: Seed = 0,
     options: PlannerOptions | None = None,
     fastest: bool = False,
@@ -143,8 +143,8 @@ def plan(
             clearance, or at most that tolerance deep in it, the motion leads away from it (`Arm.leaving`), and
             `Plan.leaves` says what it is.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps; or a pair of it and
-            the longest duration that the motion may take if the arm's limits require it, by default three times as
-            long. Learned networks always keep the duration.
+            the longest duration that the motion may take if the arm's limits require it, which for a single number is
+            three times as long. Learned networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration is then that of planning alone.

@@ -24,6 +24,8 @@ _Made = TypeVar("_Made")
 
 #: The duration of a motion [s], or a pair: that and the longest duration that it may take.
 Duration = float | tuple[float, float]
+#: The one of plans for which none is given: slow arms get the time that they need.
+USUAL_DURATION = 4.0, 60.0
 
 
 def durations(value: Duration) -> tuple[float, float]:

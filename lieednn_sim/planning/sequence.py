@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
-from lieednn_sim.planning.problem import Duration, Plan
+from lieednn_sim.planning.problem import USUAL_DURATION, Duration, Plan
 from lieednn_sim.planning.settling import SettlingOptions
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
@@ -85,7 +85,7 @@ def plan_sequence(
     steps: Sequence[Move | Actuate],
     *,
     planner: str = OBSTACLE_PLANNER,
-    duration: Duration = 4.0,
+    duration: Duration = USUAL_DURATION,
     seed: Seed = 0,
     options: PlannerOptions | None = None,
     fastest: bool = False,

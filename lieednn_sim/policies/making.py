@@ -14,6 +14,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.planning.options import PlannerOptions, given_options
+from lieednn_sim.planning.problem import USUAL_DURATION
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.registry import POLICIES
@@ -60,7 +61,7 @@ class PolicyTask:
 
     def plan(self, **options: Any) -> Plan:
         """The plan of `planning.plan`; slow arms get the time that they need."""
-        return plan(self.arm, self.target, start=self.start, duration=(4.0, 60.0), seed=self.seed, **options)
+        return plan(self.arm, self.target, start=self.start, duration=USUAL_DURATION, seed=self.seed, **options)
 
 
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:

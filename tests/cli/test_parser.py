@@ -168,7 +168,7 @@ def test_the_help_lists_what_there_is(capsys, monkeypatch):
     ):
         assert all(f"{name}: {entry.help}" in help_of(command) for name, entry in listed.entries.items())
     assert all(name in help_of("compare") for name in registry.PLANNERS.entries)
-    assert "--duration X duration of the motion [s] (default: 4)" in help_of("plan")
+    assert "--duration X duration of the motion [s] (default: 4; plans of slow arms get up to 60)" in help_of("plan")
     assert "--size WxH (width, height) in pixels (default: 1280x720)" in help_of("render")
     assert "--time-budget X largest CPU time for planning [s]; inf for no limit (default: 60)" in help_of("plan")
     assert main(["--help"]) == main([]) == 0

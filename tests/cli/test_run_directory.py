@@ -86,6 +86,16 @@ def test_a_motion_after_which_the_load_hangs_still_is_asked_for(tmp_path, capsys
     assert "least-energy" in fails("plan", *words, "--settle", "shaken")
 
 
+def test_slow_arms_get_the_time_that_they_need(tmp_path, capsys, fails):
+    words = ["plan", "--arm", "telescopic_crane", "--output", str(tmp_path)]
+    assert main(words) == 0
+    task, _ = RunDirectory(tmp_path).load_task()
+    lasts = float(RunDirectory(tmp_path).load_motion(task).t[-1])
+    assert 12.0 < lasts < 20.0
+    assert f"arrives in {lasts:.3g} s" in capsys.readouterr().out
+    assert "a duration of at least 14" in fails(*words, "--duration", "4")
+
+
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
     """From a planner, by the command line."""
 
