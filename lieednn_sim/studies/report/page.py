@@ -129,15 +129,13 @@ def write_page(
         lstrip_blocks=True,
     )
     environment.filters |= {"rounded": summary.shown, "violations": _violations, "verdict": summary.verdict}
+    known = {"arms": arms, "planners": names, "controllers": controllers, "columns": columns, "lines": lines}
+    known |= {"date": date, "command": command, "views": views, "winners": won, "measured": MEASURED}
     # Heads are the text, its explanation, and whether the column is numeric.
     page = environment.get_template("page.html").render(
+        known,
         method=summary.method(table),
-        date=date,
-        command=command,
-        arms=arms,
         scenes=sorted({row.scene for row in rows}),
-        planners=names,
-        controllers=controllers,
         seeds=" to ".join(map(str, sorted({min(counts), max(counts)}))),
         count=len(rows),
         settings=table.settings,
@@ -145,11 +143,9 @@ def write_page(
         missing=dict(sorted((missing or {}).items())),
         colours={name: FAMILIES[family(name)] for name in names},
         families={name: colour for name, colour in FAMILIES.items() if name in map(family, names)},
-        winners=won,
         heads_of_winners=[(scene, "", False) for scene in won],
         questions={name: BY_NAME.get(column) for name, (column, _) in QUESTIONS.items()},
         value_of=lambda value, column: summary.shown(value, column.name) if column else f"{100 * value:.0f} %",
-        columns=columns,
         heads=[
             *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
             ("success", "rollouts without contact that end at their target", True),
@@ -157,14 +153,11 @@ def write_page(
             ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
             ("stability", "what is proved of the network", False),
         ],
-        lines=lines,
         plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
         failures=summary.failures(rows),
-        views=views,
         # "</" would end the script element that holds this text.
         player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
         reactions=groups(reacted) if reacted else [],
-        measured=MEASURED,
         reaction_heads=[
             *((name, "", False) for name in ("policy", "scene", "disturbance")),
             *((name, "", True) for name in ("arrived", "touched", "back")),
