@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,6 +75,9 @@ class ContactFinder:
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
+        # What is near counts, as for proofs, also in a model whose simulations are without contact.
+        off = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        self._model.opt.disableflags &= ~int(off)
         # Margins are overridden, not written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
@@ -233,23 +235,24 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
     return result
 
 
-def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
+def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike], grown: float = 0.0) -> None:
     """Put bodies without joints at positions ``(3,)`` in the frames of their parents [m], by name, in a model.
 
-    `InputError` if there is no such body, or a value is malformed.
+    The surfaces of their geoms move outwards by ``grown`` [m], except those of meshes and planes. `InputError` if there
+    is no such body, or a value is malformed.
     """
     for name, place in places.items():
         model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))
+    if grown > 0.0:
+        bodies = [model.body(name).id for name in places]
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & np.isin(model.geom_type, _SIZED))
+        model.geom_size[geoms] += grown * (model.geom_size[geoms] > 0.0)
+        fit_bounds(model)
 
 
-def grow_bodies(model: mujoco.MjModel, names: Iterable[str], more: float) -> None:
-    """Move the surfaces of bodies' geoms outwards [m] in a model; those of meshes and planes stay."""
-    # MuJoCo's bounding volumes are rotated against the geoms, so they grow by the diagonal.
-    around = math.sqrt(3.0) * more
-    for body in (model.body(name).id for name in names):
-        geoms = np.flatnonzero((model.geom_bodyid == body) & np.isin(model.geom_type, _SIZED))
-        model.geom_size[geoms] += more * (model.geom_size[geoms] > 0.0)
-        model.geom_rbound[geoms] += around
-        model.geom_aabb[geoms, 3:] += more
-        first = model.body_bvhadr[body]
-        model.bvh_aabb[first : first + model.body_bvhnum[body], 3:] += around
+def fit_bounds(model: mujoco.MjModel) -> None:
+    """Fit a model's bounding volumes to geoms changed since it was compiled, whose contacts MuJoCo misses; in place."""
+    fitted = copy.deepcopy(model)
+    mujoco.mj_setConst(fitted, mujoco.MjData(fitted))  # which changes other constants, too
+    for volumes in ("geom_rbound", "geom_aabb", "bvh_aabb"):
+        getattr(model, volumes)[:] = getattr(fitted, volumes)

@@ -81,7 +81,7 @@ def read_view(
         end = last if tip is None else find_frame(own, tip)
         if last.body not in ancestry(own, end.body):
             raise InputError(f"the tip {tip!r} is not carried by the last link, {last.name!r}")
-    held, weld = _welded(own, data, dependents, end.body)
+    held, weld = _welded(own, dependents, end.body)
     if held is not None:
         # The body is carried as a rigid part of the hand, without solving the weld.
         state = mujoco.MjData(own)
@@ -179,10 +179,10 @@ def _check_links(model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplin
             )
 
 
-def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, end: int) -> tuple[str | None, int]:
+def _welded(model: mujoco.MjModel, dependents: Dependents, end: int) -> tuple[str | None, int]:
     """The name of a free body that an active weld fixes to the end effector's link, and the weld's id."""
     group = moved_together(model, dof_addresses(model, [*dependents.independent, *dependents.moved]))
-    for weld in np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)) & (data.eq_active != 0)).tolist():
+    for weld in np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)) & (model.eq_active0 != 0)).tolist():
         pair = [int(model.eq_obj1id[weld]), int(model.eq_obj2id[weld])]
         if model.eq_objtype[weld] == int(mujoco.mjtObj.mjOBJ_SITE):
             pair = [int(model.site_bodyid[site]) for site in pair]
