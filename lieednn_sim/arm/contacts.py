@@ -74,10 +74,9 @@ class ContactFinder:
         self, model: mujoco.MjModel, margin: float = 0.0, offsets: Offsets | None = None, leaving: Floats | None = None
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
-        self._model = copy.deepcopy(model)
+        self._model, bits = copy.deepcopy(model), mujoco.mjtDisableBit
         # What is near counts, as for proofs, also in a model whose simulations are without contact.
-        off = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        self._model.opt.disableflags &= ~int(off)
+        self._model.opt.disableflags &= ~int(bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT)
         # Margins are overridden, not written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
@@ -85,7 +84,7 @@ class ContactFinder:
         # not all spheres; otherwise switching it off saves up to a fifth.
         fixed, moving = model.body_geomnum[model.body_weldid == 0], model.geom_type[moving_geoms(model)]
         if fixed.sum() < 10 or (fixed.max() < 20 and (moving == int(mujoco.mjtGeom.mjGEOM_SPHERE)).all()):
-            self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+            self._model.opt.disableflags |= int(bits.mjDSBL_MIDPHASE)
         self._data = mujoco.MjData(self._model)
         self._left: dict[tuple[int, ...], int] = {}
         self._begin, self._lack = leaving, np.zeros(0)
@@ -254,5 +253,4 @@ def fit_bounds(model: mujoco.MjModel) -> None:
     """Fit a model's bounding volumes to geoms changed since it was compiled, whose contacts MuJoCo misses; in place."""
     fitted = copy.deepcopy(model)
     mujoco.mj_setConst(fitted, mujoco.MjData(fitted))  # which changes other constants, too
-    for volumes in ("geom_rbound", "geom_aabb", "bvh_aabb"):
-        getattr(model, volumes)[:] = getattr(fitted, volumes)
+    model.geom_rbound[:], model.geom_aabb[:], model.bvh_aabb[:] = fitted.geom_rbound, fitted.geom_aabb, fitted.bvh_aabb

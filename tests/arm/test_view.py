@@ -354,3 +354,17 @@ def test_disabled_equalities_hold_nothing():
         of_file = ls.Arm.from_spec(mujoco.MjSpec.from_string(xml), joints=["x", "y"], tip="tip")
         assert arm.joint_names == of_file.joint_names == names
         assert (arm.grasp is None) == bool(flag)
+
+
+def test_what_hangs_on_a_held_body_moves_with_it():
+    free = '<body name="{}" pos="{} 0 1"><freejoint/><geom size=".01" contype="{}"/></body>'
+    welds = '<weld body1="b" body2="box"/><weld body1="box" body2="lamp"/>'
+    chain = body("a", hinge("x"), body("b", hinge("y"), site("tip", "0 0 1")))
+    model = compiled(chain + free.format("box", 0.5, 0) + free.format("lamp", 0.7, 1), welds)
+    arm, data = ls.Arm.of(model, mujoco.MjData(model), ["x", "y"], tip="tip"), mujoco.MjData(model)
+    data.qpos[:] = arm.qpos([0.4, 0.3])
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max() < 1e-9
+    assert data.body("lamp").xpos != pytest.approx([0.7, 0.0, 1.0], abs=0.1)
+    data.eq_active[1] = 0
+    assert ls.Arm.of(model, data, ["x", "y"], tip="tip").grasp.named[0] == "box"
