@@ -368,3 +368,7 @@ def test_what_hangs_on_a_held_body_moves_with_it():
     assert data.body("lamp").xpos != pytest.approx([0.7, 0.0, 1.0], abs=0.1)
     data.eq_active[1] = 0
     assert ls.Arm.of(model, data, ["x", "y"], tip="tip").grasp.named[0] == "box"
+    data.eq_active[:] = 0, 1
+    loose = ls.Arm.of(model, data, ["x", "y"], tip="tip")
+    with pytest.raises(InputError, match="'box' is held by the weld equality of 'box' and 'lamp'; deactivate it first"):
+        loose.holding("box")
