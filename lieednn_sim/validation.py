@@ -232,9 +232,9 @@ def as_generator(name: str, seed: Seed) -> np.random.Generator:
 
 def as_choice(name: str, value: str, allowed: Iterable[str], further: str = "") -> str:
     """Return ``value`` if it is one of ``allowed``, or raise an `InputError` that lists these and ``further``."""
-    choices = sorted(filter(None, allowed))  # elements of models may lack a name
+    choices = sorted(filter(None, allowed))  # elements of a model may have no name
     # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:
-        known = ", ".join([*choices, *filter(None, [further])]) or "none"
+        known = ", ".join(filter(None, [*choices, further])) or "none"
         raise InputError(f"no {name} {quoted(value)}; allowed: {known}")
     return value

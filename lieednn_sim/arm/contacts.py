@@ -251,6 +251,12 @@ def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike], grown: f
 
 def fit_bounds(model: mujoco.MjModel) -> None:
     """Fit a model's bounding volumes to geoms changed since it was compiled, whose contacts MuJoCo misses; in place."""
-    fitted = copy.deepcopy(model)
+    fitted, solid = copy.deepcopy(model), model.geom_contype | model.geom_conaffinity
+    # Geoms that collided with nothing then are in no tree of boxes, and MuJoCo refuses them here.
+    late = (solid != 0) & ~np.isin(np.arange(model.ngeom), model.bvh_nodeid[: model.body_bvhnum.sum()])
+    fitted.geom_contype[late] = fitted.geom_conaffinity[late] = 0
     mujoco.mj_setConst(fitted, mujoco.MjData(fitted))  # which changes other constants, too
     model.geom_rbound[:], model.geom_aabb[:], model.bvh_aabb[:] = fitted.geom_rbound, fitted.geom_aabb, fitted.bvh_aabb
+    np.bitwise_or.at(model.body_contype, model.geom_bodyid, model.geom_contype)
+    np.bitwise_or.at(model.body_conaffinity, model.geom_bodyid, model.geom_conaffinity)
+    model.opt.disableflags |= int(late.any() and mujoco.mjtDisableBit.mjDSBL_MIDPHASE)

@@ -311,6 +311,7 @@ def test_bodies_without_names_are_told_apart_by_their_numbers():
 def test_geoms_changed_since_the_model_was_compiled_are_where_they_are():
     others = "".join(f'<geom type="box" size=".04 .04 .2" pos="{3 + k} 0 .4"/>' for k in range(20))
     wall = '<geom name="wall" type="box" size="{}" pos="{} 0 .4"/>'
+    unseen = wall.format(".04 .04 .2", 0.7).replace("/>", ' contype="0" conaffinity="0"/>')
     xml = """<mujoco><worldbody><body pos="0 0 .4"><joint name="turn" axis="0 0 1" range="-150 150"/>
     <geom type="capsule" size=".03" fromto=".1 0 0 .6 0 0"/></body><body name="rack">{}</body></worldbody></mujoco>"""
     known = mujoco.MjModel.from_xml_string(xml.format(wall.format(".04 .04 .2", 0.7) + others))
@@ -320,7 +321,10 @@ def test_geoms_changed_since_the_model_was_compiled_are_where_they_are():
     moved.geom("wall").pos[0] = 0.7
     heavier = mujoco.MjModel.from_xml_string(xml.format(wall.format(".04 .04 .2", 0.7) + others))
     heavier.body("rack").ipos[2] += 5.0
-    for model in (known, enlarged, moved, heavier):
+    touchable = [mujoco.MjModel.from_xml_string(xml.format(unseen + more)) for more in ("", others)]
+    for model in touchable:
+        model.geom("wall").contype = model.geom("wall").conaffinity = 1
+    for model in (known, enlarged, moved, heavier, *touchable):
         arm, q = ls.Arm.of(model, mujoco.MjData(model), ["turn"]), np.array([0.15])
         corner = np.hypot(0.66 - 0.6 * np.cos(q[0]), 0.6 * np.sin(q[0]) - 0.04)
         distances, _ = arm.contact_finder(0.2).geoms(arm.qpos(q))
