@@ -232,7 +232,7 @@ def as_generator(name: str, seed: Seed) -> np.random.Generator:
 
 def as_choice(name: str, value: str, allowed: Iterable[str], further: str = "") -> str:
     """Return ``value`` if it is one of ``allowed``, or raise an `InputError` that lists these and ``further``."""
-    choices = sorted(filter(None, allowed))  # elements of a model may have no name
+    choices = sorted(allowed)  # some elements of a model have no name
     # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:
         known = ", ".join(filter(None, [*choices, further])) or "none"

@@ -64,7 +64,7 @@ def find_grasp(
             raise InputError(f"{quoted(holding)} is held by {equality_name(model, e)}; deactivate it first")
     bodies = np.flatnonzero(model.body_rootid == body)
     known = [model.body(k).name for k in range(model.nbody)]
-    allowed = [known.index(as_choice("body", name, known)) for name in touching]
+    allowed = [known.index(as_choice("body", name, filter(None, known))) for name in touching]
     data = kinematics_at(model, qpos)
     mine, solid = np.isin(model.geom_bodyid, bodies), colliding_geoms(model)
     # What moves with the arm's base does not count as ground: the body does not stand on the arm or its hand.

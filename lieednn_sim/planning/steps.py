@@ -143,5 +143,5 @@ class Gripping:
     def _carried(self, name: str) -> NDArray[np.bool_]:
         """A mask ``(nbody,)`` of a body and all bodies that it carries."""
         known = [self._model.body(k).name for k in range(self._model.nbody)]
-        body = known.index(as_choice("body", name, known))
+        body = known.index(as_choice("body", name, filter(None, known)))
         return np.array([body in ancestry(self._model, part) for part in range(len(known))])

@@ -52,7 +52,7 @@ class Push:
         """The pushed body in a model of the arm; `InputError` lists the names."""
         if self.body in arm.link_names:
             return int(arm.frames.bodies[arm.link_names.index(self.body)])
-        names = [model.body(i).name for i in range(1, model.nbody)]
+        names = filter(None, (model.body(i).name for i in range(1, model.nbody)))
         return int(model.body(as_choice("body to push", self.body, (*arm.link_names, *names))).id)
 
 
