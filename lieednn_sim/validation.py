@@ -232,8 +232,9 @@ def as_generator(name: str, seed: Seed) -> np.random.Generator:
 
 def as_choice(name: str, value: str, allowed: Iterable[str], further: str = "") -> str:
     """Return ``value`` if it is one of ``allowed``, or raise an `InputError` that lists these and ``further``."""
-    choices = sorted(allowed)
+    choices = sorted(allowed)  # some elements of a model have no name
     # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"no {name} {quoted(value)}; allowed: {', '.join([*choices, *filter(None, [further])])}")
+        known = ", ".join(filter(None, [*choices, further])) or "none"
+        raise InputError(f"no {name} {quoted(value)}; allowed: {known}")
     return value

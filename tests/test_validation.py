@@ -79,3 +79,6 @@ def test_choice_lists_what_is_allowed():
     assert as_choice("colour", "red", ("red", "blue")) == "red"
     with pytest.raises(InputError, match="no colour 'green'; allowed: blue, red"):
         as_choice("colour", "green", ("red", "blue"))
+    for elements, listed in ((["", "claw", ""], "claw"), (["", ""], "none")):  # some of a model have no names
+        with pytest.raises(InputError, match=f"^no actuator 'gripper'; allowed: {listed}$"):
+            as_choice("actuator", "gripper", elements)

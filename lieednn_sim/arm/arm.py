@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, grow_bodies, move_bodies, without_clearance
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, move_bodies, without_clearance
 from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.grasp import add_payload, load_body
@@ -251,8 +251,7 @@ class Arm(ModelArm):
         if self.spec is None:
             models = [copy.deepcopy(model) for model in (self.model, self.collision_model)]
             for model in filter(None, models):
-                move_bodies(model, places)
-                grow_bodies(model, places, more)
+                move_bodies(model, places, more)
             return replace(self, model=models[0], collision_model=models[1])
         spec = self.copied_spec()
         for name, place in places.items():

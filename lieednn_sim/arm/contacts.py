@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -75,7 +74,9 @@ class ContactFinder:
         self, model: mujoco.MjModel, margin: float = 0.0, offsets: Offsets | None = None, leaving: Floats | None = None
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
-        self._model = copy.deepcopy(model)
+        self._model, bits = copy.deepcopy(model), mujoco.mjtDisableBit
+        # What is near counts, as for proofs, also in a model whose simulations are without contact.
+        self._model.opt.disableflags &= ~int(bits.mjDSBL_CONTACT | bits.mjDSBL_CONSTRAINT)
         # Margins are overridden, not written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
@@ -83,7 +84,7 @@ class ContactFinder:
         # not all spheres; otherwise switching it off saves up to a fifth.
         fixed, moving = model.body_geomnum[model.body_weldid == 0], model.geom_type[moving_geoms(model)]
         if fixed.sum() < 10 or (fixed.max() < 20 and (moving == int(mujoco.mjtGeom.mjGEOM_SPHERE)).all()):
-            self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+            self._model.opt.disableflags |= int(bits.mjDSBL_MIDPHASE)
         self._data = mujoco.MjData(self._model)
         self._left: dict[tuple[int, ...], int] = {}
         self._begin, self._lack = leaving, np.zeros(0)
@@ -233,23 +234,29 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
     return result
 
 
-def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
+def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike], grown: float = 0.0) -> None:
     """Put bodies without joints at positions ``(3,)`` in the frames of their parents [m], by name, in a model.
 
-    `InputError` if there is no such body, or a value is malformed.
+    The surfaces of their geoms move outwards by ``grown`` [m], except those of meshes and planes. `InputError` if there
+    is no such body, or a value is malformed.
     """
     for name, place in places.items():
         model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))
+    if grown > 0.0:
+        bodies = [model.body(name).id for name in places]
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & np.isin(model.geom_type, _SIZED))
+        model.geom_size[geoms] += grown * (model.geom_size[geoms] > 0.0)
+        fit_bounds(model)
 
 
-def grow_bodies(model: mujoco.MjModel, names: Iterable[str], more: float) -> None:
-    """Move the surfaces of bodies' geoms outwards [m] in a model; those of meshes and planes stay."""
-    # MuJoCo's bounding volumes are rotated against the geoms, so they grow by the diagonal.
-    around = math.sqrt(3.0) * more
-    for body in (model.body(name).id for name in names):
-        geoms = np.flatnonzero((model.geom_bodyid == body) & np.isin(model.geom_type, _SIZED))
-        model.geom_size[geoms] += more * (model.geom_size[geoms] > 0.0)
-        model.geom_rbound[geoms] += around
-        model.geom_aabb[geoms, 3:] += more
-        first = model.body_bvhadr[body]
-        model.bvh_aabb[first : first + model.body_bvhnum[body], 3:] += around
+def fit_bounds(model: mujoco.MjModel) -> None:
+    """Fit a model's bounding volumes to geoms changed since it was compiled, whose contacts MuJoCo misses; in place."""
+    fitted, solid = copy.deepcopy(model), model.geom_contype | model.geom_conaffinity
+    # Geoms that collided with nothing then are in no tree of boxes, and MuJoCo refuses them here.
+    late = (solid != 0) & ~np.isin(np.arange(model.ngeom), model.bvh_nodeid[: model.body_bvhnum.sum()])
+    fitted.geom_contype[late] = fitted.geom_conaffinity[late] = 0
+    mujoco.mj_setConst(fitted, mujoco.MjData(fitted))  # which changes other constants, too
+    model.geom_rbound[:], model.geom_aabb[:], model.bvh_aabb[:] = fitted.geom_rbound, fitted.geom_aabb, fitted.bvh_aabb
+    np.bitwise_or.at(model.body_contype, model.geom_bodyid, model.geom_contype)
+    np.bitwise_or.at(model.body_conaffinity, model.geom_bodyid, model.geom_conaffinity)
+    model.opt.disableflags |= int(late.any() and mujoco.mjtDisableBit.mjDSBL_MIDPHASE)

@@ -14,6 +14,7 @@ from lieednn_sim.arm.coordinates import Line, Sum
 from lieednn_sim.arm.equalities import (
     Residuals,
     dof_addresses,
+    equalities_hold,
     equality_name,
     involved_joints,
     joint_range,
@@ -67,8 +68,7 @@ class Dependents:
         self._model = model
         self.independent = tuple(sorted(int(joint) for joint in independent))
         self.dofs = dof_addresses(model, self.independent)
-        off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
-        active = np.flatnonzero(data.eq_active * (not model.opt.disableflags & off))
+        active = np.flatnonzero(data.eq_active & equalities_hold(model.opt))
         self._followers, roots, remaining = _in_closed_form(model, [int(e) for e in active], self.independent)
         equalities, looped = _loops_of(model, remaining, roots)
         led = {follower.joint for follower in self._followers if roots[follower.joint] is not None}

@@ -16,6 +16,7 @@ import scipy
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
+from lieednn_sim.arm.equalities import equality_name, involved_joints
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
@@ -54,13 +55,13 @@ def find_grasp(
     """
     model, tip = arm.model, arm.frames[-1:]
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
-    if holding not in free:
-        names = ", ".join(sorted(filter(None, free))) or "none"
-        raise InputError(f"nothing to hold is called {quoted(holding)}; bodies with a free joint are: {names}")
-    joint, carrier = free[holding], int(tip.bodies[0])
+    joint, carrier = free[as_choice("body with a free joint", holding, free)], int(tip.bodies[0])
     body, root = int(model.jnt_bodyid[joint]), int(model.body_rootid[carrier])
     if root == body:
         raise InputError(f"{quoted(holding)} carries the end effector, and cannot be held by it")
+    for e in np.flatnonzero(model.eq_active0).tolist():
+        if joint in (ties := involved_joints(model, e)) and ties.isdisjoint(model.dof_jntid[arm.space.rate_addresses]):
+            raise InputError(f"{quoted(holding)} is held by {equality_name(model, e)}; deactivate it first")
     bodies = np.flatnonzero(model.body_rootid == body)
     known = [model.body(k).name for k in range(model.nbody)]
     allowed = [known.index(as_choice("body", name, filter(None, known))) for name in touching]

@@ -344,10 +344,9 @@ class ModelArm(SerialArm):
                 near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
                 hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
             elif not hint:
-                hint = f", {depth:.4g} mm deep"
-                if what == "start":
-                    hint += f"; motions lead out of contact from {1e3 * self.start_tolerance:g} mm deep at most: bring "
-                    hint += "the arm out, or allow more by dataclasses.replace(arm, start_tolerance=...)"
+                out = f"; motions lead out of contact from {1e3 * self.start_tolerance:g} mm deep at most: "
+                out += "bring the arm out, or allow more by dataclasses.replace(arm, start_tolerance=...)"
+                hint = f", {depth:.4g} mm deep" + out * (what == "start")
             raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
         return position
 

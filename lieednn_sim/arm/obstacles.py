@@ -69,10 +69,8 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
         InputError: an entry is invalid; the message names it.
     """
     source = as_path("the name of a scene", path)
-    if source.suffix.lower() == ".xml":
-        spec = load_spec(source)
-    else:
-        spec = shapes(io.load_description(source, "scene"), source)
+    mjcf = source.suffix.lower() == ".xml"
+    spec = load_spec(source) if mjcf else shapes(io.load_description(source, "scene"), source)
     for key in spec.keys:
         spec.delete(key)
     for site in spec.sites:
@@ -84,6 +82,8 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
+    for body in spec.bodies:
+        body.mocap = False  # bodies that are attached to others cannot be mocap bodies
     away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1) * colliding_geoms(model)
     if away.max(initial=0.0) > _FARTHEST:
         name = geom_name(model, int(away.argmax()))
@@ -237,9 +237,8 @@ def read_pose(entry: dict[str, Any]) -> dict[str, Any]:
         raise InputError("it has both rpy and quaternion; give one of them")
     pose: dict[str, Any] = {"pos": as_floats("position", entry["position"], (3,))}
     if "rpy" in entry:
-        quaternion = np.zeros(4)
-        mujoco.mju_euler2Quat(quaternion, as_floats("rpy, in radians,", entry["rpy"], (3,), largest=TURN), "XYZ")
-        pose["quat"] = quaternion
+        pose["quat"] = np.zeros(4)
+        mujoco.mju_euler2Quat(pose["quat"], as_floats("rpy, in radians,", entry["rpy"], (3,), largest=TURN), "XYZ")
     elif "quaternion" in entry:
         pose["quat"] = as_floats("quaternion", entry["quaternion"], (4,))
         if not np.isclose(np.linalg.norm(pose["quat"]), 1.0, atol=1e-3):

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import colliding_geoms
+from lieednn_sim.arm.contacts import colliding_geoms, fit_bounds
+from lieednn_sim.arm.equalities import equalities_hold
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -33,12 +34,13 @@ def home_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
-    """A copy of a model, with mocap bodies where a state has them, and the equalities active that are active in it."""
+    """A copy of a model, with mocap bodies where a state has them, the equalities that hold in it, and `fit_bounds`."""
     own = copy.deepcopy(model)
     for body in np.flatnonzero(model.body_mocapid >= 0):
         mocap = model.body_mocapid[body]
         own.body_pos[body], own.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
-    own.eq_active0[:] = data.eq_active
+    own.eq_active0[:] = data.eq_active & equalities_hold(model.opt)
+    fit_bounds(own)
     return own
 
 

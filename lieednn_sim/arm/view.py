@@ -14,7 +14,7 @@ from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.dependents import Dependents, independent_joints
-from lieednn_sim.arm.equalities import dof_addresses, names
+from lieednn_sim.arm.equalities import dof_addresses, involved_joints, names
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, find_frame, joint_groups, named_frames
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
@@ -81,7 +81,7 @@ def read_view(
         end = last if tip is None else find_frame(own, tip)
         if last.body not in ancestry(own, end.body):
             raise InputError(f"the tip {tip!r} is not carried by the last link, {last.name!r}")
-    held, weld = _welded(own, data, dependents, end.body)
+    held, weld = _welded(own, dependents, end.body)
     if held is not None:
         # The body is carried as a rigid part of the hand, without solving the weld.
         state = mujoco.MjData(own)
@@ -179,16 +179,18 @@ def _check_links(model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplin
             )
 
 
-def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, end: int) -> tuple[str | None, int]:
-    """The name of a free body that an active weld fixes to the end effector's link, and the weld's id."""
+def _welded(model: mujoco.MjModel, dependents: Dependents, end: int) -> tuple[str | None, int]:
+    """The name of a free body that one weld alone ties, to the end effector's link, and the weld's id."""
     group = moved_together(model, dof_addresses(model, [*dependents.independent, *dependents.moved]))
-    for weld in np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)) & (data.eq_active != 0)).tolist():
+    active = np.flatnonzero(model.eq_active0).tolist()
+    for weld in [equality for equality in active if model.eq_type[equality] == int(mujoco.mjtEq.mjEQ_WELD)]:
         pair = [int(model.eq_obj1id[weld]), int(model.eq_obj2id[weld])]
         if model.eq_objtype[weld] == int(mujoco.mjtObj.mjOBJ_SITE):
             pair = [int(model.site_bodyid[site]) for site in pair]
         for body, hand in (pair, pair[::-1]):
-            free = model.jnt_type[joints_of(model, body)] == FREE
-            if free.any() and model.body(body).name and group[hand] == group[end]:
+            joint = int(model.body_jntadr[body])
+            ties = [equality for equality in active if joint in involved_joints(model, equality)]
+            if ties == [weld] and model.jnt_type[joint] == FREE and model.body(body).name and group[hand] == group[end]:
                 return model.body(body).name, weld
     return None, -1
 

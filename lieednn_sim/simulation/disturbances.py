@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
+from lieednn_sim.validation import as_choice, as_floats, as_nonnegative, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, set_fields
 
 # Descriptions of values of `Disturbances` that are not the defaults: of the arm itself, and of its sensors.
@@ -52,14 +52,8 @@ class Push:
         """The pushed body in a model of the arm; `InputError` lists the names."""
         if self.body in arm.link_names:
             return int(arm.frames.bodies[arm.link_names.index(self.body)])
-        result = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
-        if result <= 0:
-            names = sorted(filter(None, (model.body(i).name for i in range(1, model.nbody))))
-            raise InputError(
-                f"no body {quoted(self.body)} to push; links are: {', '.join(arm.link_names)}; "
-                f"bodies are: {', '.join(names)}"
-            )
-        return result
+        names = filter(None, (model.body(i).name for i in range(1, model.nbody)))
+        return int(model.body(as_choice("body to push", self.body, (*arm.link_names, *names))).id)
 
 
 @dataclass(frozen=True)

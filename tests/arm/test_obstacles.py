@@ -99,7 +99,9 @@ def test_the_example_of_the_documentation_is_a_scene_of_an_arm(tmp_path):
 @pytest.mark.parametrize("bits", [(1, 1), (2, 0), (0, 4)])
 def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     write(tmp_path, "meshes/wedge.obj", TETRAHEDRON)
-    path = write(tmp_path, "own.xml", MJCF.format(more=""))
+    # Mocap bodies stand where the file has them.
+    more = '<body name="far" mocap="true" pos="0 0 40"><geom size=".01"/></body>'
+    path = write(tmp_path, "own.xml", MJCF.format(more=more))
     # An arm whose geoms collide by other bits than those of the file.
     spec = gantry.spec.copy()
     ball = spec.geom("ball")
@@ -107,7 +109,8 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     arm = Arm.from_spec(spec, gantry.source, "gantry").with_scene(path)
     assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)
     assert set(*arm.near_contacts([0.35, 0, 0, 0])) == {"obstacle_own", "wrist"}
-    assert describe(load_obstacles(path))[0] == "1 cylinder, 1 mesh; targets anywhere"
+    assert describe(load_obstacles(path))[0] == "1 cylinder, 1 mesh, 1 sphere; targets anywhere"
+    assert arm.model.body("obstacle_far").pos == pytest.approx([0, 0, 40])
     # The plant of a controller that adds bodies is compiled from the spec again.
     assert arm.spec.copy().compile().ngeom == arm.model.ngeom
     assert [arm.model.key(k).name for k in range(arm.model.nkey)] == [

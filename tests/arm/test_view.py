@@ -306,3 +306,73 @@ def test_bodies_without_names_are_told_apart_by_their_numbers():
         arm.check_reachable([0.01])
     with pytest.raises(InputError, match="'body 1' would touch 'post'"):
         arm.check_reachable([-0.5])
+
+
+def test_geoms_changed_since_the_model_was_compiled_are_where_they_are():
+    others = "".join(f'<geom type="box" size=".04 .04 .2" pos="{3 + k} 0 .4"/>' for k in range(20))
+    wall = '<geom name="wall" type="box" size="{}" pos="{} 0 .4"/>'
+    unseen = wall.format(".04 .04 .2", 0.7).replace("/>", ' contype="0" conaffinity="0"/>')
+    xml = """<mujoco><worldbody><body pos="0 0 .4"><joint name="turn" axis="0 0 1" range="-150 150"/>
+    <geom type="capsule" size=".03" fromto=".1 0 0 .6 0 0"/></body><body name="rack">{}</body></worldbody></mujoco>"""
+    known = mujoco.MjModel.from_xml_string(xml.format(wall.format(".04 .04 .2", 0.7) + others))
+    enlarged = mujoco.MjModel.from_xml_string(xml.format(wall.format(".01 .01 .01", 0.7)))
+    enlarged.geom("wall").size[:] = 0.04, 0.04, 0.2
+    moved = mujoco.MjModel.from_xml_string(xml.format(wall.format(".04 .04 .2", 2.0) + others))
+    moved.geom("wall").pos[0] = 0.7
+    heavier = mujoco.MjModel.from_xml_string(xml.format(wall.format(".04 .04 .2", 0.7) + others))
+    heavier.body("rack").ipos[2] += 5.0
+    touchable = [mujoco.MjModel.from_xml_string(xml.format(unseen + more)) for more in ("", others)]
+    for model in touchable:
+        model.geom("wall").contype = model.geom("wall").conaffinity = 1
+    for model in (known, enlarged, moved, heavier, *touchable):
+        arm, q = ls.Arm.of(model, mujoco.MjData(model), ["turn"]), np.array([0.15])
+        corner = np.hypot(0.66 - 0.6 * np.cos(q[0]), 0.6 * np.sin(q[0]) - 0.04)
+        distances, _ = arm.contact_finder(0.2).geoms(arm.qpos(q))
+        assert [distances.min(), Collisions(arm).clearance(q)] == pytest.approx([corner - 0.03] * 2, abs=1e-6)
+
+
+def test_flags_that_disable_contacts_do_not_hide_obstacles():
+    xml = """<mujoco><option><flag {}="disable"/></option><worldbody><body name="rod" pos="0 0 .4">
+    <joint name="turn" axis="0 0 1" range="-150 150"/><geom type="capsule" size=".03" fromto=".1 0 0 .6 0 0"/></body>
+    <body name="wall" pos=".7 0 .4"><geom type="box" size=".2 .04 .2"/></body></worldbody></mujoco>"""
+    for flag in ("contact", "constraint"):
+        model = mujoco.MjModel.from_xml_string(xml.format(flag))
+        arm = ls.Arm.of(model, mujoco.MjData(model), ["turn"])
+        assert arm.contacts([0.1]) == [("rod", "wall")]
+        with pytest.raises(ls.errors.PlanError, match="'rod' would come within 2 mm of 'wall'"):
+            ls.plan(arm, [1.0], start=[-1.0], planner="minimum-jerk")
+        assert not ls.simulate(arm, ls.plan(arm, [1.4], start=[0.9])).contacts.any()
+
+
+def test_disabled_equalities_hold_nothing():
+    chain = body("a", hinge("x"), body("b", hinge("y"), site("tip", "0 0 1")))
+    free = '<body name="tool" pos="0 0 3"><freejoint/><geom/></body>'
+    held = '<equality><joint joint1="y" joint2="x"/><weld body1="b" body2="tool"/></equality>'
+    for flag, names in (("", ("x",)), ("constraint", ("x", "y")), ("equality", ("x", "y"))):
+        option = flag and f'<option><flag {flag}="disable"/></option>'
+        xml = (
+            f'<mujoco>{option}<default><geom size=".01"/></default><worldbody>{chain}{free}</worldbody>{held}</mujoco>'
+        )
+        model = mujoco.MjModel.from_xml_string(xml)
+        arm = ls.Arm.of(model, mujoco.MjData(model), ["x", "y"], tip="tip")
+        of_file = ls.Arm.from_spec(mujoco.MjSpec.from_string(xml), joints=["x", "y"], tip="tip")
+        assert arm.joint_names == of_file.joint_names == names
+        assert (arm.grasp is None) == bool(flag)
+
+
+def test_what_hangs_on_a_held_body_moves_with_it():
+    free = '<body name="{}" pos="{} 0 1"><freejoint/><geom size=".01" contype="{}"/></body>'
+    welds = '<weld body1="b" body2="box"/><weld body1="box" body2="lamp"/>'
+    chain = body("a", hinge("x"), body("b", hinge("y"), site("tip", "0 0 1")))
+    model = compiled(chain + free.format("box", 0.5, 0) + free.format("lamp", 0.7, 1), welds)
+    arm, data = ls.Arm.of(model, mujoco.MjData(model), ["x", "y"], tip="tip"), mujoco.MjData(model)
+    data.qpos[:] = arm.qpos([0.4, 0.3])
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max() < 1e-9
+    assert data.body("lamp").xpos != pytest.approx([0.7, 0.0, 1.0], abs=0.1)
+    data.eq_active[1] = 0
+    assert ls.Arm.of(model, data, ["x", "y"], tip="tip").grasp.named[0] == "box"
+    data.eq_active[:] = 0, 1
+    loose = ls.Arm.of(model, data, ["x", "y"], tip="tip")
+    with pytest.raises(InputError, match="'box' is held by the weld equality of 'box' and 'lamp'; deactivate it first"):
+        loose.holding("box")

@@ -45,7 +45,7 @@ REFUSED = {
     "demo --position 1e308,0,0": "position must not exceed 1e+100 in size, got 1e+308",
     "demo --hold -1": "hold must not be negative, got -1",
     "demo --push 'link 1,1,2,3'": "argument --push: must look like BODY,FX,FY,FZ,START,DURATION",
-    "demo --push moon,1,2,3,1,1": "no body 'moon' to push; links are: link 1",
+    "demo --push moon,1,2,3,1,1": "no body to push 'moon'; allowed: ",
     "demo --reference-rate 7": "reference_rate must divide the simulation's 500 Hz",
     "demo --controller magic": "no controller 'magic'; allowed: computed-torque",
     "demo --planner magic": "no planner 'magic'; allowed: ",

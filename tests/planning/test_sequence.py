@@ -244,7 +244,7 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
         ([ls.Actuate({"turn": 0.0})], "actuator 'turn' moves the arm"),
         ([ls.Actuate({}, until="settled")], "its actuators move none"),
         ([ls.Actuate({}, until=("box", "cup"))], "no body 'cup'"),
-        ([ls.Move("home", holding="cup")], "step 1, 'home': nothing to hold is called 'cup'.*: box"),
+        ([ls.Move("home", holding="cup")], "step 1, 'home': no body with a free joint 'cup'.*: box"),
         ([ls.Move("home", holding="box", touching=["cup"])], "no body 'cup'; allowed: boom, box"),
         ([ls.Move("home", holding="box")], r"step 1, 'home': 'box' is 0\.\d+ m or more from the hand, .* 0\.1"),
         ([ls.Move("nowhere")], "no keyframe 'nowhere'; keyframes of .*: home"),

@@ -120,7 +120,7 @@ def test_failures_name_the_time(small_arms):
     simulation.data.qvel[:] = 1e12
     with pytest.raises(SimulationError, match=r"'telescope' failed at t = 0\.0060 s"):
         simulation.advance()
-    with pytest.raises(InputError, match=r"no body 'hand' to push; links are: end effector; bodies are: ball, base"):
+    with pytest.raises(InputError, match=r"no body to push 'hand'; allowed: ball, base"):
         Simulation(small_arms["telescope"], disturbances=Disturbances(pushes=(Push("hand", (1, 0, 0), 0, 1),)))
 
 

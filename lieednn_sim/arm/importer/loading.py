@@ -17,6 +17,7 @@ import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
+from lieednn_sim.arm.equalities import equalities_hold
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
@@ -58,6 +59,8 @@ def load_spec(model: StrPath | mujoco.MjSpec, notes: list[str] | None = None) ->
                 names.add(element.name)
             if kind == "joint" and element.type == mujoco.mjtJoint.mjJNT_FREE:
                 element.align = 0
+    for equality in spec.equalities:
+        equality.active = bool(equality.active) and equalities_hold(spec.option)
     return spec
 
 

@@ -79,7 +79,7 @@ class FeedbackLinearisation(Controller):
         """See `Controller`. Derived values in ``data``, such as inertias, are those of the last step."""
         known = data
         if self._plant is None or noise.present:
-            known = self._measured(data, noise)
+            known = _measured(*self._own, data, noise)
         elif step == 0:
             mujoco.mj_forward(self._plant, data)
         if known is not self._data:
@@ -116,16 +116,6 @@ class FeedbackLinearisation(Controller):
         self._control[self._driving] = control
         if len(self._bare):
             self._forces[self._bare] = self._applied + load[self._bare]
-
-    def _measured(self, data: mujoco.MjData, noise: Noise) -> mujoco.MjData:
-        """The arm's own dynamics at the measured state."""
-        model, own = self._own
-        own.qpos[:], own.qvel[:] = data.qpos, data.qvel + noise.velocity
-        mujoco.mj_integratePos(model, own.qpos, noise.position, 1.0)
-        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        mujoco.mj_fwdPosition(model, own)
-        mujoco.mj_fwdVelocity(model, own)
-        return own
 
     @cached_property
     def _own(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -164,17 +154,13 @@ class LoopLinearisation(Controller):
         self._frequency = np.where(actuators.servoed, 0.0, NATURAL_FREQUENCY)
         self._moved = np.zeros(arm.model.nv)
         self._moved[arm.dofs] = 1.0
-        self._model = arm.model
-        self._data, self._load = mujoco.MjData(self._model), np.zeros(arm.model.nv)
+        self._data, self._load = mujoco.MjData(arm.model), np.zeros(arm.model.nv)
         self._compensated = compensating_dofs(arm.model)
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        arm, own, reference, actuators = self._arm, self._data, self._reference, self._actuators
-        own.qpos[:], own.qvel[:] = data.qpos, data.qvel + noise.velocity
-        mujoco.mj_integratePos(self._model, own.qpos, noise.position, 1.0)
-        mujoco.mj_fwdPosition(self._model, own)
-        mujoco.mj_fwdVelocity(self._model, own)
+        arm, reference, actuators = self._arm, self._reference, self._actuators
+        own = _measured(arm.model, self._data, data, noise)
         row = reference.row(step)
         last = reference.known - 1
         now, after = min(row, last), min(row + 1, last)
@@ -183,7 +169,7 @@ class LoopLinearisation(Controller):
         slow = reference.qd[now] - arm.rates(q, own.qvel)
         pull = self._frequency * (2.0 * slow + self._frequency * (reference.q[now] - q))
         acceleration = self._moved * (reference.qvel[after] - reference.qvel[now]) / reference.timestep + basis @ pull
-        mujoco.mj_mulM(self._model, own, self._load, acceleration)
+        mujoco.mj_mulM(arm.model, own, self._load, acceleration)
         load = self._load + own.qfrc_bias - own.qfrc_passive - np.where(self._compensated, own.qfrc_gravcomp, 0.0)
         transmission = actuators.moment @ basis
         forces, _ = least_squares(transmission.T, load @ basis)
@@ -194,3 +180,13 @@ class LoopLinearisation(Controller):
         if noise.present:
             controls = controls + np.where(actuators.servos, actuators.measurement_error(noise), 0.0)
         actuators.write(controls, data.ctrl)
+
+
+def _measured(model: mujoco.MjModel, own: mujoco.MjData, data: mujoco.MjData, noise: Noise) -> mujoco.MjData:
+    """A model's own dynamics at the measured state."""
+    own.qpos[:], own.qvel[:] = data.qpos, data.qvel + noise.velocity
+    mujoco.mj_integratePos(model, own.qpos, noise.position, 1.0)
+    own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    mujoco.mj_fwdPosition(model, own)
+    mujoco.mj_fwdVelocity(model, own)
+    return own
