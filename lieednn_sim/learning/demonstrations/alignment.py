@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration, as_dof
-from lieednn_sim.lie import exp, left_jacobian_so3
-from lieednn_sim.lie.se3 import transforms
+from lieednn_sim.lie import exp
+from lieednn_sim.lie.se3 import transforms, turns_near, twist_of
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
@@ -209,9 +209,9 @@ def in_world(twists: Floats, goal: RigidTransform) -> RigidTransform:
     return transforms(turned, seen.translation + goal.translation)
 
 
-def from_goal(pose: RigidTransform, goal: RigidTransform) -> Floats:
-    """The twist ``(6,)`` of a world pose relative to a goal: the inverse of `in_world`."""
-    turn = (pose.rotation * goal.rotation.inv()).as_rotvec()
+def from_goal(pose: RigidTransform, goal: RigidTransform, near: Floats) -> Floats:
+    """The twist ``(6,)`` of a world pose relative to a goal, the inverse of `in_world`, with a turn near another."""
+    turn = turns_near((pose.rotation * goal.rotation.inv()).as_rotvec(), near)
     return twist_of(np.concatenate([turn, pose.translation - goal.translation]))
 
 
@@ -223,12 +223,6 @@ def shown_part(dof: int) -> slice:
 def displacement(twists: Floats) -> Floats:
     """Rotation vectors and positions (omega, J(omega) v), ``(..., 6)`` [rad, m], of twists ``(..., 6)``."""
     return np.concatenate([twists[..., :3], exp(twists).translation], axis=-1)
-
-
-def twist_of(displaced: Floats) -> Floats:
-    """Twists ``(..., 6)`` of rotation vectors and positions ``(..., 6)``: the inverse of `displacement`."""
-    turn, position = displaced[..., :3], displaced[..., 3:]
-    return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)
 
 
 @frozen

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.tables import TIME_UNITS, Layout, as_recording, read_tables
-from lieednn_sim.lie import left_jacobian_so3
+from lieednn_sim.lie.se3 import turns_near, twist_of
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, StrPath, frozen
 
@@ -133,15 +133,11 @@ class Demonstration:
         """As `twists`, relative to the last pose of another demonstration."""
         turn = Rotation.from_matrix(self.rotation @ other.rotation[-1].T).as_rotvec()
         for k in reversed(range(len(turn) - 1)):
-            angle = np.linalg.norm(turn[k])
-            if angle > 0.0:
-                axis = turn[k] / angle
-                turn[k] += 2.0 * np.pi * np.round((turn[k + 1] - turn[k]) @ axis / (2.0 * np.pi)) * axis
+            turn[k] = turns_near(turn[k], turn[k + 1])
         # The chart is singular at a full turn.
         if np.linalg.norm(turn, axis=1).max() > 2.0 * np.pi - 0.2:
             raise InputError(f"{self.source} turns by a full turn or more from its goal; cut it into shorter ones")
-        shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - other.position[-1])[..., None])[..., 0]
-        return np.concatenate([turn, shift], axis=1)
+        return twist_of(np.concatenate([turn, self.position - other.position[-1]], axis=1))
 
     def steps(self, lever: float) -> Floats:
         """Lengths ``(K - 1,)`` from each sample to the next [m], in which a radian counts for ``lever`` metres."""
