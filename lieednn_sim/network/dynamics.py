@@ -172,8 +172,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
             piece = solver.dense_output()
             pieces.append(piece)
             if away is not None and away(solver.y) <= 0.0:
-                # As precise as SciPy's own events, also for times far below 1.
-                tiny, low, high = 4.0 * float(np.finfo(float).eps), solver.t_old, solver.t
+                tiny, low, high = 4.0 * float(np.finfo(float).eps), solver.t_old, solver.t  # tiny as SciPy's own
                 # `brentq` leaves its function, though not its arguments, behind in a reference cycle.
                 end = brentq(lambda at, f, x: f(x(at)), low, high, (away, piece), tiny * min(1.0, high), tiny)
                 t.append(end)
@@ -185,8 +184,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
         vars(solver).clear()
     times = np.array(t)
-    # The seventh power of a shorter or longer step leaves the range of double precision.
-    usual = isinstance(solver, RK45 | DOP853) and all(1e-40 < piece.t - piece.t_old < 1e40 for piece in pieces)
+    usual = isinstance(solver, RK45 | DOP853) and all(1e-40 < p.t - p.t_old < 1e40 for p in pieces)  # for h^7
     return times, np.array(x), _polynomials(times, pieces) if usual else OdeSolution(times, pieces)
 
 

@@ -123,22 +123,14 @@ def align(
     fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most=100_000))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must record the same quantities")
-    goal, twists, times = mean_goal(demonstrations), [], []
-    rest = np.tile(goal.translation, (2, 1)), np.tile(goal.rotation.as_matrix(), (2, 1, 1))
-    at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
+    goal, found = mean_goal(demonstrations), []
     for item in demonstrations:
-        seen = item.twists_from(at_goal) if kept else item.twists
+        seen = item.twists_from(goal.translation, goal.rotation.as_matrix()) if kept else item.twists
         # Points that are as far apart as the poses; only large turns become chords.
         points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
-        reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
-        twists.append(reached)
-        times.append(at)
-    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
-
-
-def _lengths(item: Demonstration, lever: float, kept: Indices) -> Floats:
-    some = replace(item, t=item.t[kept], position=item.position[kept], rotation=item.rotation[kept])
-    return some.steps(lever)
+        found.append(at_phases(fractions, seen, item.t, phase, points, partial(item.steps, lever)))
+    twists, times = map(np.array, zip(*found, strict=True))
+    return Demonstrations(goal, times.mean(axis=0), twists, demonstrations[0].dof, lever, kept)
 
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:

@@ -77,8 +77,7 @@ class ShapedMotion(LearnedMotion):
             return result
         units, extent, spread = demonstrations.scale, demonstrations.extent, None
         paths, kept = demonstrations.displaced[:, :, None], demonstrations.goals_kept
-        with one_blas_thread():  # since sums of BLAS depend on its threads
-            network, response, codes = with_response(shaping, curve, paths, units[None], kept)
+        network, response, codes = with_response(shaping, curve, paths, units[None], kept)
         if len(demonstrations) > 1 and network.start_gain is not None:
             least = np.zeros(6)
             least[shown_part(demonstrations.dof)] = DEVIATION * extent
