@@ -35,7 +35,7 @@ class ClosedLoops:
     """The joints that equality constraints of closed loops move when others are given.
 
     A solution is followed from the model's state along a straight line in the given joints, so that the loops stay on
-    the branch of the state. It does not depend on earlier calls. It uses one `mujoco.MjData`: one thread at a time.
+    the branch of the state. It does not depend on earlier calls.
 
     The dependent joints of the loops' equalities are moved by the drivers, dofs of the independent joints; ``follow``
     sets the joints of ``(nq,)`` that follow those in closed form, in place. `NoSolutionError` if the loops cannot be

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.errors import InputError
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, weakly_cached
 
 Indices = NDArray[np.int_]
 
@@ -62,9 +63,14 @@ class Residuals:
         self.known = np.setdiff1d(self.involved, self.dofs)
         self.turning = self.involved[turns(model, self.involved)]
 
+    @property
+    @weakly_cached
+    def _own(self) -> mujoco.MjData:
+        return copy.copy(self._data)
+
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
-        model, data = self._model, kinematics_at(self._model, qpos, self._data)
+        model, data = self._model, kinematics_at(self._model, qpos, self._own)
         mujoco.mj_comPos(model, data)
         if model.ntendon:
             mujoco.mj_tendon(model, data)
@@ -119,7 +125,7 @@ class Residuals:
 
     def owners(self, rows: NDArray[np.bool_]) -> str:
         """The equalities of some rows ``(E,)`` of the residual."""
-        ids = self._data.efc_id[np.flatnonzero(rows)]
+        ids = self._own.efc_id[np.flatnonzero(rows)]
         return ", ".join(dict.fromkeys(equality_name(self._model, int(equality)) for equality in ids))
 
 
