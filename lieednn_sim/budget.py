@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -30,7 +31,9 @@ cpu_time = time.thread_time  # CPU time that the calling thread has used [s], fr
 
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
-_REPORT: ContextVar[Callable[[int, int], object] | None] = ContextVar("lieednn_sim report", default=None)
+_REPORT: ContextVar[Callable[[int, int], object]] = ContextVar("lieednn_sim report", default=lambda *_: None)
+# The limit of BLAS is the process's: it is here once for each context, and the last one, in any thread, lifts it.
+_BLAS_LOCK, _BLAS_LIMITS = threading.Lock(), list[Any]()
 
 
 def as_time_budget(name: str, value: float) -> float:
@@ -70,8 +73,7 @@ def reporting(progress: Callable[[int, int], object]) -> Iterator[None]:
 
 def report(done: int, total: int) -> None:
     """Pass the amount of work done and the total amount to the callback of `reporting`, if there is one."""
-    if (progress := _REPORT.get()) is not None:
-        progress(done, total)
+    _REPORT.get()(done, total)
 
 
 def out_of_time() -> bool:
@@ -98,6 +100,17 @@ def _blas() -> Any:
     return ThreadpoolController()
 
 
-def one_blas_thread() -> contextlib.AbstractContextManager[Any]:
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
     """Context in which BLAS uses one thread; more threads are slower for small matrices, and results would vary."""
-    return _blas().limit(limits=1, user_api="blas")
+    with _BLAS_LOCK:
+        limit = _BLAS_LIMITS[0] if _BLAS_LIMITS else _blas().limit(limits=1, user_api="blas")
+        with _blas().limit(limits=1, user_api="blas"):  # once it is left, threadpoolctl 3.8 obeys other threads, too
+            _BLAS_LIMITS.append(limit)
+    try:
+        yield
+    finally:
+        with _BLAS_LOCK:
+            if _BLAS_LIMITS.pop() not in _BLAS_LIMITS:
+                with limit:
+                    pass

@@ -7,6 +7,7 @@ Classes with arrays use `frozen`, others ``dataclass(frozen=True)``. Both set fi
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import wraps
@@ -67,15 +68,16 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
 
 def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
-    """Decorator: as `functools.cache`, but results live as long as the first argument, which they must not refer to."""
+    """Decorator: a cache for each thread. Its results live as long as the first argument, and must not refer to it."""
     results: WeakKeyDictionary[Any, dict[Any, _Class]] = WeakKeyDictionary()
 
     @wraps(function)
     def cached(first: Any, *others: Any) -> _Class:
-        known = results.setdefault(first, {})
-        if others not in known:
-            known[others] = function(first, *others)
-        return known[others]
+        # Results may hold an `MjData`, which no two threads may use at once.
+        known, key = results.setdefault(first, {}), (threading.get_ident(), *others)
+        if key not in known:
+            known[key] = function(first, *others)
+        return known[key]
 
     return cached
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -224,3 +227,46 @@ def test_one_network_is_drawn_first_and_the_others_where_it_cannot_be_used(monke
     monkeypatch.setattr(certified, "_plan", lambda *_: refused(*_[:3], 1))
     with pytest.raises(PlanError, match="not this one"):
         plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))
+
+
+OVERLAPPING = """
+import scipy.linalg, threading
+from threadpoolctl import threadpool_info
+from lieednn_sim.budget import one_blas_thread
+
+def numbers():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+def first():
+    with one_blas_thread():
+        began[0].set()
+        began[1].wait(60.0)
+    ended.set()
+
+def second():
+    began[0].wait(60.0)
+    with one_blas_thread():
+        began[1].set()
+        ended.wait(60.0)
+        with one_blas_thread():
+            seen.append(numbers())
+        seen.append(numbers())
+
+for _ in range(2):
+    began, ended, seen = (threading.Event(), threading.Event()), threading.Event(), []
+    threads = [threading.Thread(target=work) for work in (first, second)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print(*seen, numbers())
+    with one_blas_thread():
+        print(numbers())
+"""
+
+
+def test_contexts_that_overlap_in_threads_keep_one_thread_of_blas_and_restore_the_number():
+    """A thread that ends first neither lifts another's limit, nor does the last one leave the limit behind."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    done = subprocess.run([sys.executable, "-c", OVERLAPPING], env=environment, capture_output=True, text=True)
+    assert done.stdout.split("\n")[:4] == ["{1} {1} {2}", "{1}"] * 2, done.stderr

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from functools import partial
-from threading import get_ident
 
 import numpy as np
 import scipy
@@ -15,7 +12,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.errors import InputError
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, weakly_cached
 
 Indices = NDArray[np.int_]
 
@@ -55,11 +52,9 @@ class Residuals:
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, equalities: Sequence[int], joints: Sequence[int]
     ) -> None:
-        own = mujoco.MjData(model)
-        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        own.eq_active[:] = np.isin(np.arange(model.neq), equalities)
-        # A copy for each thread, since several may use an arm at once, such as those of the live view.
-        self._model, self._data = model, defaultdict[int, mujoco.MjData](partial(copy.copy, own))
+        self._model, self._data = model, mujoco.MjData(model)
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        self._data.eq_active[:] = np.isin(np.arange(model.neq), equalities)
         self._sparse = bool(mujoco.mj_isSparse(model))
         self.dofs = dof_addresses(model, joints)
         self.given = np.setdiff1d(np.arange(model.nq), position_addresses(model, joints))
@@ -68,9 +63,14 @@ class Residuals:
         self.known = np.setdiff1d(self.involved, self.dofs)
         self.turning = self.involved[turns(model, self.involved)]
 
+    @property
+    @weakly_cached
+    def _own(self) -> mujoco.MjData:
+        return copy.copy(self._data)
+
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
-        model, data = self._model, kinematics_at(self._model, qpos, self._data[get_ident()])
+        model, data = self._model, kinematics_at(self._model, qpos, self._own)
         mujoco.mj_comPos(model, data)
         if model.ntendon:
             mujoco.mj_tendon(model, data)
@@ -125,7 +125,7 @@ class Residuals:
 
     def owners(self, rows: NDArray[np.bool_]) -> str:
         """The equalities of some rows ``(E,)`` of the residual."""
-        ids = self._data[get_ident()].efc_id[np.flatnonzero(rows)]
+        ids = self._own.efc_id[np.flatnonzero(rows)]
         return ", ".join(dict.fromkeys(equality_name(self._model, int(equality)) for equality in ids))
 
 
@@ -140,11 +140,6 @@ def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
         sites = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
         return _between(model, [int(model.site_bodyid[i]) if sites else i for i in ids])
     return set()
-
-
-def equalities_hold(option: mujoco.MjOption) -> bool:
-    """Whether no flag of a model's options, or of a spec's, disables its equalities."""
-    return not option.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY)
 
 
 def loop_closures(model: mujoco.MjModel) -> list[int]:

@@ -93,7 +93,6 @@ class Stops:
         ranges = [joint_range(model, joint) for joint in self._joints]
         ranges += [*free_ranges(model.tendon_range[self._tendons], model.tendon_margin[self._tendons])]
         self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
-        self._data = mujoco.MjData(model) if self._tendons else None
 
     def __len__(self) -> int:
         """Number of ranges, plus one if there are loops."""
@@ -125,7 +124,7 @@ class Stops:
 
     def _values(self, rows: Floats) -> Floats:
         """Positions of joints and lengths of tendons ``(K, L)`` at ``(K, nq)``."""
-        model, data, values = self._model, self._data, np.empty((len(rows), len(self._low)))
+        model, values = self._model, np.empty((len(rows), len(self._low)))
         for column, joint in zip(values.T, self._joints, strict=False):
             first = model.jnt_qposadr[joint]
             if model.jnt_type[joint] == BALL:
@@ -133,7 +132,8 @@ class Stops:
                 column[:] = 2.0 * np.arctan2(turn, np.abs(rows[:, first]))
             else:
                 column[:] = rows[:, first]
-        if data is not None:
+        if self._tendons:
+            data = scratch_data(model)
             for value, row in zip(values[:, len(self._joints) :], rows, strict=True):
                 if np.isnan(row[0]):
                     value[:] = np.nan

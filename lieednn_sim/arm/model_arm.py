@@ -25,7 +25,7 @@ from lieednn_sim.arm.view import read_view
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_nonnegative
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, weakly_cached
 
 #: The limits of an arm, by the names of its fields.
 LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
@@ -193,23 +193,23 @@ class ModelArm(SerialArm):
             The arm, which is this one if nothing is that close, or something is deeper; and what is close, in words.
         """
         qpos = self.qpos(start)
-        distance, _ = self._nearly_touching.geoms(qpos)
+        distance, _ = self._finder(self.clearance).geoms(qpos)
         if not len(distance) or distance.min() < -self.start_tolerance:
             return self, ""
-        pairs = ", ".join(f"{first!r} to {second!r}" for first, second in self._nearly_touching.bodies(qpos))
+        pairs = ", ".join(f"{first!r} to {second!r}" for first, second in self._finder(self.clearance).bodies(qpos))
         depth, near = -1e3 * distance.min(), f"nearer than the clearance of {1e3 * self.clearance:g} mm"
         how = f"{depth:.2g} mm deep" if depth > 1e-3 else f"{round(max(-depth, 0.0), 3):g} mm, {near}"
         return replace(self, leaves=start), f"{pairs} ({how}){self._if_held(qpos)}"
 
     def _if_held(self, qpos: Floats) -> str:
         """Advice on a free body nearer than the clearance at ``(nq,)``, which a hand may hold; empty without one."""
-        near = {body for pair in self._nearly_touching.bodies(qpos) for body in pair}
+        near = {body for pair in self._finder(self.clearance).bodies(qpos) for body in pair}
         held = min(self._free_bodies().intersection(near), default="")
         return f"; if the hand holds it, plan with arm.holding({held!r})" if held else ""
 
     def left_along(self, q: Floats) -> Iterator[Floats]:
         """Distances, at most the `clearance`, of geoms that were too near at `leaves`, at configurations ``(K, n)``."""
-        return map(self._nearly_touching.left, self.qpos(q))
+        return map(self._finder(self.clearance).left, self.qpos(q))
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Which degrees of freedom ``(nv,)`` move the body with an id; what is carried moves with its carrier."""
@@ -339,7 +339,7 @@ class ModelArm(SerialArm):
             loose = self._free_bodies()
             first, second = next((pair for pair in touching if loose.intersection(pair)), touching[0])
             hint = self._if_held(self.qpos(position))
-            depth = -1e3 * self._nearly_touching.geoms(self.qpos(position))[0].min()
+            depth = -1e3 * self._finder(self.clearance).geoms(self.qpos(position))[0].min()
             if not hint and depth <= 0.0:
                 near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
                 hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
@@ -352,11 +352,11 @@ class ModelArm(SerialArm):
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._finder(0.0).bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
-        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return self._finder(self.clearance).bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
         """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once.
@@ -365,10 +365,10 @@ class ModelArm(SerialArm):
         """
         rows = self.qpos(q, strict=False)
         if self.dependents is None or not np.isnan(rows).any():
-            return map(self._nearly_touching.bodies, rows)
+            return map(self._finder(self.clearance).bodies, rows)
         joints = self.dependents.moved
         torn = [tuple(self.model.body(self.model.jnt_bodyid[joint]).name for joint in (joints[0], joints[-1]))]
-        return (torn if np.isnan(row).any() else self._nearly_touching.bodies(row) for row in rows)
+        return (torn if np.isnan(row).any() else self._finder(self.clearance).bodies(row) for row in rows)
 
     @property
     def without_visuals(self) -> Self:
@@ -385,10 +385,6 @@ class ModelArm(SerialArm):
         spec, model = discard_visuals(self)
         return replace(self, spec=spec, model=model, recipe=())
 
-    @cached_property
-    def _touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder()
-
-    @cached_property
-    def _nearly_touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder(self.clearance)
+    @weakly_cached
+    def _finder(self, margin: float) -> ContactFinder:
+        return self.without_visuals.contact_finder(margin)

@@ -146,6 +146,18 @@ def continued(twists: Floats) -> Floats:
     return result
 
 
+def turns_near(turns: Floats, others: Floats) -> Floats:
+    """Of all rotation vectors ``(..., 3)`` of the same rotations, full turns apart on their axes, those near others."""
+    axes = turns / np.maximum(np.linalg.norm(turns, axis=-1, keepdims=True), 1e-150)
+    return np.asarray(turns + 2.0 * np.pi * np.round(np.vecdot(others - turns, axes)[..., None] / (2.0 * np.pi)) * axes)
+
+
+def twist_of(displaced: Floats) -> Floats:
+    """Twists ``(..., 6)`` of rotation vectors and positions ``(..., 6)``, by J^-1 of SO(3); unchecked."""
+    turn, position = displaced[..., :3], displaced[..., 3:]
+    return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)
+
+
 def same_signs(quaternions: Floats) -> Floats:
     """Unit quaternions ``(K, ..., 4)`` along paths, of which each has the sign that is nearer to the one before it.
 

@@ -167,14 +167,14 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
             if solver.nfev > _MAX_EVALUATIONS:
                 raise LieEDNNError(
                     f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations "
-                    f"in a duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
+                    f"in a duration of {solver.t_bound:g}; use 'Radau' or 'LSODA', larger tolerances or smaller weights"
                 )
             piece = solver.dense_output()
             pieces.append(piece)
             if away is not None and away(solver.y) <= 0.0:
-                tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
+                tiny, low, high = 4.0 * float(np.finfo(float).eps), solver.t_old, solver.t  # tiny as SciPy's own
                 # `brentq` leaves its function, though not its arguments, behind in a reference cycle.
-                end = brentq(lambda at, f, x: f(x(at)), solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
+                end = brentq(lambda at, f, x: f(x(at)), low, high, (away, piece), tiny * min(1.0, high), tiny)
                 t.append(end)
                 x.append(piece(end))
                 break
@@ -184,8 +184,8 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
         vars(solver).clear()
     times = np.array(t)
-    dense = _polynomials(times, pieces) if isinstance(solver, RK45 | DOP853) else OdeSolution(times, pieces)
-    return times, np.array(x), dense
+    usual = isinstance(solver, RK45 | DOP853) and all(1e-40 < p.t - p.t_old < 1e40 for p in pieces)  # for h^7
+    return times, np.array(x), _polynomials(times, pieces) if usual else OdeSolution(times, pieces)
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:

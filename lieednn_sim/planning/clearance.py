@@ -14,7 +14,6 @@ that closed loops or curves move (`Arm.dependents`), or where there are flexes o
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -169,7 +168,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics |
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
-    bounds, step = bounds_of(arm), float(t[1] - t[0])
+    bounds, step = bounds_of(arm, True), float(t[1] - t[0])
     cubics = Cubics(step, q, qd) if cubics is None else cubics
     begin, end = _edges(q)
     tested = 0
@@ -287,7 +286,7 @@ class ProofAhead:
 
     def advance(self) -> None:
         """Evaluate the bound of one more interval, or divide it."""
-        bounds = bounds_of(self._arm)
+        bounds = bounds_of(self._arm, True)
         if self.pair or not self._left or isinstance(bounds, str):
             return
         begin, end = self._left[-1]
@@ -328,13 +327,9 @@ def _joined(intervals: list[tuple[float, float]]) -> Floats:
     return np.column_stack([edges[first, 0], edges[last, 1]])
 
 
-def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:
-    """The bounds of an arm's distances, or why there are none; one for each thread, since they hold an `MjData`."""
-    return _bounds_in(arm, own, threading.get_ident())
-
-
 @weakly_cached
-def _bounds_in(arm: Arm, own: bool, _: int) -> ClearanceBounds | str:
+def bounds_of(arm: Arm, own: bool) -> ClearanceBounds | str:
+    """The bounds of an arm's distances, or why there are none; whether those of its own parts count."""
     n = arm.n_joints
     try:
         return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))], own=own)

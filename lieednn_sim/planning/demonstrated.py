@@ -82,17 +82,14 @@ class JointDemonstrations:
         for source, samples, _ in tables:
             shown.append(_within_limits(arm, source, samples, shown[0][-1] if shown else None))
         units = lever_units(arm, np.concatenate(shown))
-        fractions = np.linspace(0.0, 1.0, 201)
-        paths, times = [], []
+        fractions, found = np.linspace(0.0, 1.0, 201), []
         for q, (source, _, t) in zip(shown, tables, strict=True):
             states = (arm.encode(q) * units).reshape(len(q), -1)
             if np.ptp(states, axis=0).max() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
-            path, at = at_phases(fractions, q, t, phase, states, partial(_lengths, states))
-            paths.append(path)
-            times.append(at)
-        ends = np.array([path[-1] for path in paths])
-        goal = ends.mean(axis=0)
+            found.append(at_phases(fractions, q, t, phase, states, partial(_lengths, states)))
+        paths, times = map(np.array, zip(*found, strict=True))
+        ends, goal = paths[:, -1], paths[:, -1].mean(axis=0)
         k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
         max_end_distance = 0.02  # of a demonstration's end from the mean end, in the joints' ranges
         if not kept and np.abs(ends[k, joint] - goal[joint]) > max_end_distance * arm.ranges[joint]:
@@ -101,7 +98,7 @@ class JointDemonstrations:
                 f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; "
                 "keep their goals (--goals kept), or learn other goals apart"
             )
-        result = cls(arm, np.mean(times, axis=0), np.array(paths), units, kept)
+        result = cls(arm, times.mean(axis=0), paths, units, kept)
         for configuration, what in ((result.mean[0], "the mean start"), (result.mean[-1], "the mean end")):
             arm.check_reachable(configuration, what)
         return result

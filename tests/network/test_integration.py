@@ -41,3 +41,18 @@ def test_a_step_by_few_products_is_that_of_runge_and_kutta(activation):
         other = runge_kutta_step(lambda y: network.flat_vector_field(y), other, h)
         np.testing.assert_allclose(x, other, rtol=1e-13, atol=1e-13)
         np.testing.assert_array_equal(drive, stepping.drive(x))
+
+
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau", "BDF", "LSODA"])
+@pytest.mark.parametrize("gamma", [1e18, 1e75])
+def test_a_fast_network_is_a_slow_one_in_other_units_of_time(method, gamma):
+    start = np.ones((3, 6))
+    alone = drawn(np.random.default_rng(0), 0.0, gamma=gamma, mu=gamma)
+    end = alone.bias
+    found = alone.trajectory(start, 60.0 / gamma, until=end, distance=1e-6, method=method)
+    # Without weights x = b + (x_0 - b) e^(-gamma t).
+    assert gamma * found.t[-1] == pytest.approx(np.log(np.abs(start - end).max() / 1e-6), abs=0.1)
+    assert np.abs(found.xi[-1] - end).max() == pytest.approx(1e-6, rel=1e-6)
+    z = np.linspace(0.0, 0.99, 30) * gamma * found.t[-1]
+    exact = end + (start - end) * np.exp(-z)[:, None, None]
+    np.testing.assert_allclose(found(z / gamma), exact, atol=1e-6)

@@ -51,9 +51,19 @@ def test_the_true_network_follows_the_curve_and_its_closed_form(encoder):
     assert off_the_curve(states, curve_of(1, count=2000)) < 2e-3 * np.linalg.norm(curve[-1] - curve[0])
 
 
+def test_an_activation_that_is_defined_anew_has_codes_of_its_own(monkeypatch):
+    """As in a cell of a notebook that runs again."""
+    curve, codes = curve_of(1, 1), []
+    for name in ("tanh", "arctan"):
+        monkeypatch.setitem(ACTIVATIONS, "soft", ACTIVATIONS[name])
+        codes.append(CurveEncoder(1, "soft").code(curve))
+        np.testing.assert_array_equal(codes[-1], CurveEncoder(1, name).code(curve))
+    assert np.abs(codes[0] - codes[1]).max() > 1e-6
+
+
 def test_codes_are_the_least_squares_solution(encoder):
     """The bumps by integrating single pairs, the code by a solver of its own."""
-    basis, network = module._basis(encoder.network.activation, 80.0), encoder.network
+    basis, network = module._basis(ACTIVATIONS[encoder.network.activation], 80.0), encoder.network
     g = basis.fitted
     a, c = switches(module.CODE_PAIRS)
     slope = ACTIVATIONS[network.activation].slope

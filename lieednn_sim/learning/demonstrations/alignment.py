@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration, as_dof
-from lieednn_sim.lie import exp, left_jacobian_so3
-from lieednn_sim.lie.se3 import transforms
+from lieednn_sim.lie import exp
+from lieednn_sim.lie.se3 import transforms, turns_near, twist_of
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
@@ -123,22 +123,14 @@ def align(
     fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most=100_000))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must record the same quantities")
-    goal, twists, times = mean_goal(demonstrations), [], []
-    rest = np.tile(goal.translation, (2, 1)), np.tile(goal.rotation.as_matrix(), (2, 1, 1))
-    at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
+    goal, found = mean_goal(demonstrations), []
     for item in demonstrations:
-        seen = item.twists_from(at_goal) if kept else item.twists
+        seen = item.twists_from(goal.translation, goal.rotation.as_matrix()) if kept else item.twists
         # Points that are as far apart as the poses; only large turns become chords.
         points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
-        reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
-        twists.append(reached)
-        times.append(at)
-    return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
-
-
-def _lengths(item: Demonstration, lever: float, kept: Indices) -> Floats:
-    some = replace(item, t=item.t[kept], position=item.position[kept], rotation=item.rotation[kept])
-    return some.steps(lever)
+        found.append(at_phases(fractions, seen, item.t, phase, points, partial(item.steps, lever)))
+    twists, times = map(np.array, zip(*found, strict=True))
+    return Demonstrations(goal, times.mean(axis=0), twists, demonstrations[0].dof, lever, kept)
 
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
@@ -209,9 +201,9 @@ def in_world(twists: Floats, goal: RigidTransform) -> RigidTransform:
     return transforms(turned, seen.translation + goal.translation)
 
 
-def from_goal(pose: RigidTransform, goal: RigidTransform) -> Floats:
-    """The twist ``(6,)`` of a world pose relative to a goal: the inverse of `in_world`."""
-    turn = (pose.rotation * goal.rotation.inv()).as_rotvec()
+def from_goal(pose: RigidTransform, goal: RigidTransform, near: Floats) -> Floats:
+    """The twist ``(6,)`` of a world pose relative to a goal, the inverse of `in_world`, with a turn near another."""
+    turn = turns_near((pose.rotation * goal.rotation.inv()).as_rotvec(), near)
     return twist_of(np.concatenate([turn, pose.translation - goal.translation]))
 
 
@@ -223,12 +215,6 @@ def shown_part(dof: int) -> slice:
 def displacement(twists: Floats) -> Floats:
     """Rotation vectors and positions (omega, J(omega) v), ``(..., 6)`` [rad, m], of twists ``(..., 6)``."""
     return np.concatenate([twists[..., :3], exp(twists).translation], axis=-1)
-
-
-def twist_of(displaced: Floats) -> Floats:
-    """Twists ``(..., 6)`` of rotation vectors and positions ``(..., 6)``: the inverse of `displacement`."""
-    turn, position = displaced[..., :3], displaced[..., 3:]
-    return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)
 
 
 @frozen

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.synthesis import Shaping
 from lieednn_sim.synthesis.shaping.cascade import PAIRS, Cascade, bumps, clockwork, encoder, with_pairs
@@ -97,6 +98,7 @@ def one_standard_error(errors: Floats) -> tuple[int, int]:
     return best, int(np.flatnonzero(excess.mean(axis=1) <= doubt)[-1])
 
 
+@one_blas_thread()
 def with_response(
     shaping: Shaping, curve: Floats, paths: Floats, units: Floats, goals: bool = False
 ) -> tuple[LieEDNN, Response, Floats]:
@@ -123,8 +125,7 @@ def with_response(
     scale = units.ravel()
     gain = at_instants(response.gain) / scale[:, None] * np.tile(scale, 1 + goals)
     left = at_instants(response.residuals.swapaxes(0, 1)) / scale
-    codes = (encoder(clock) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
-    codes = codes.transpose(1, 2, 0, 3)
+    codes = (encoder(clock) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape).transpose(1, 2, 0, 3)
     away = (paths[:, [0, -1]] - curve[[0, -1]])[:, : 1 + goals].reshape(len(paths), -1)
     network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, away, codes)
     return network, response, codes

@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.learning.demonstrations.alignment import displacement, from_goal, in_world, twist_of
+from lieednn_sim.learning.demonstrations.alignment import displacement, from_goal, in_world
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.recording import as_dof
-from lieednn_sim.lie.se3 import transforms
+from lieednn_sim.lie.se3 import transforms, twist_of
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_floats, as_path, as_times
@@ -75,15 +75,15 @@ class LearnedMotion:
         """World poses ``(K,)`` of the motion at the times `t`.
 
         Args:
-            start: world pose of the frame at the start, by default that of the demonstrations; its rotation is ignored
-                if no rotations were recorded.
+            start: world pose of the frame at the start, by default that of the demonstrations, from which it then turns
+                to the goal as they do, also by more than half a turn; its rotation is ignored if none were recorded.
             goal: world pose at the end, by default that of the demonstrations.
         """
         for name, pose in (("start", start), ("goal", goal)):
             if pose is not None:
                 as_floats(f"the translation of {name}", pose.translation, (3,))
         end = self.goal if goal is None else goal
-        begin = self.start if start is None else from_goal(start, end)
+        begin = self.start if start is None else from_goal(start, end, self.start[:3])
         if start is not None and self.dof < 6:
             begin = np.append(np.zeros(3), start.translation - end.translation)
         return in_world(self.reproduce(begin, self.t), end)
@@ -115,7 +115,7 @@ class LearnedMotion:
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
-        states = np.stack([self.network.start(item[None]).ravel() for item in start])
+        states = np.reshape([self.network.start(item[None]) for item in start], (len(start), self.network.bias.size))
         grid = network_grid(max(tau[-1], _FRACTION_STEP), self.rate)
         return run_field(self.network.flat_vector_field, states, grid, tau, kept=6)
 

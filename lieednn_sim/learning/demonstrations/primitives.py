@@ -25,9 +25,10 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part
 from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_grid
 from lieednn_sim.lie import exp
+from lieednn_sim.lie.se3 import turns_near, twist_of
 from lieednn_sim.values import Floats, frozen, read_only
 
 ALPHA = 25.0  # Ijspeert's values: critically damped
@@ -67,7 +68,8 @@ class DynamicPrimitive:
             missing = target - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
             if dof == 6:
                 turns = [Rotation.from_rotvec(path[..., :3].reshape(-1, 3)) for path in (target, target - missing)]
-                missing[..., :3] = (turns[0] * turns[1].inv()).as_rotvec().reshape((*missing.shape[:-1], 3))
+                turned = (turns[0] * turns[1].inv()).as_rotvec().reshape((*missing.shape[:-1], 3))
+                missing[..., :3] = turns_near(turned, missing[..., :3])
             weights = weights.copy()
             weights[:, shown] += inverse @ missing.mean(axis=0)[:, shown]
         return cls(weights, duration, dof)
@@ -92,7 +94,7 @@ class DynamicPrimitive:
             turned = path[-1][:, :3]
             if self.dof == 6:
                 turn = Rotation.from_rotvec(STEP * rate[:, :3]) * turn
-                turned = turn.as_rotvec()
+                turned = turns_near(turn.as_rotvec(), turned)  # which may be more than half a turn
             path.append(np.concatenate([turned, position], axis=1))
         shown = twist_of(at_times(np.stack(path, axis=1), grid, t / self.duration))
         return shown.reshape(*start.shape[:-1], len(t), 6)

@@ -12,12 +12,12 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.tables import TIME_UNITS, Layout, as_recording, read_tables
-from lieednn_sim.lie import left_jacobian_so3
+from lieednn_sim.lie.se3 import turns_near, twist_of
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, StrPath, frozen
 
@@ -127,27 +127,23 @@ class Demonstration:
         Raises:
             InputError: the frame turns by nearly a full turn or more, where the logarithm is singular.
         """
-        return self.twists_from(self)
+        return self.twists_from(self.position[-1], self.rotation[-1])
 
-    def twists_from(self, other: Demonstration) -> Floats:
-        """As `twists`, relative to the last pose of another demonstration."""
-        turn = Rotation.from_matrix(self.rotation @ other.rotation[-1].T).as_rotvec()
+    def twists_from(self, place: Floats, rotation: Floats) -> Floats:
+        """As `twists`, relative to another goal, of position ``(3,)`` and rotation ``(3, 3)``."""
+        turn = Rotation.from_matrix(self.rotation @ rotation.T).as_rotvec()
         for k in reversed(range(len(turn) - 1)):
-            angle = np.linalg.norm(turn[k])
-            if angle > 0.0:
-                axis = turn[k] / angle
-                turn[k] += 2.0 * np.pi * np.round((turn[k + 1] - turn[k]) @ axis / (2.0 * np.pi)) * axis
+            turn[k] = turns_near(turn[k], turn[k + 1])
         # The chart is singular at a full turn.
         if np.linalg.norm(turn, axis=1).max() > 2.0 * np.pi - 0.2:
             raise InputError(f"{self.source} turns by a full turn or more from its goal; cut it into shorter ones")
-        shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - other.position[-1])[..., None])[..., 0]
-        return np.concatenate([turn, shift], axis=1)
+        return twist_of(np.concatenate([turn, self.position - place], axis=1))
 
-    def steps(self, lever: float) -> Floats:
-        """Lengths ``(K - 1,)`` from each sample to the next [m], in which a radian counts for ``lever`` metres."""
-        lever = as_positive("lever", lever)
-        turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
-        return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)
+    def steps(self, lever: float, kept: slice | NDArray[np.intp] = slice(None)) -> Floats:
+        """Lengths ``(K - 1,)`` from each of the samples kept to the next [m]; a radian counts for ``lever`` metres."""
+        position, rotation, lever = self.position[kept], self.rotation[kept], as_positive("lever", lever)
+        turns = Rotation.from_matrix(rotation[1:] @ rotation[:-1].swapaxes(1, 2)).magnitude()
+        return np.hypot(np.linalg.norm(np.diff(position, axis=0), axis=1), lever * turns)
 
 
 def load_demonstrations(

@@ -93,7 +93,7 @@ def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, floa
     effector = [Demonstration(np.arange(float(len(at))), at[:, :3, 3], at[:, :3, :3], 6, each) for at in poses]
     pairs = warp(result / arm.ranges, shown / arm.ranges).pairs
     rms = np.sqrt(np.mean((result[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
-    errors = path_errors(effector[0].twists_from(effector[1]), effector[1].twists)
+    errors = path_errors(effector[0].twists_from(poses[1][-1, :3, 3], poses[1][-1, :3, :3]), effector[1].twists)
     worst, turn = float(100.0 * (rms / arm.ranges).max()), float(np.rad2deg(gap[1]))
     return JointErrors(errors, tuple(rms.tolist()), worst, 1e3 * gap[0], turn)
 

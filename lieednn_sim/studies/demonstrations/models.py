@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.budget import cpu_time, one_blas_thread, report
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning.demonstrations import Demonstrations
-from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement, twist_of, warp
+from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement, warp
 from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.lie.se3 import twist_of
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, Activation, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.network.stepping import UndrivenState
 from lieednn_sim.synthesis.shaping.cascade import LARGEST_CODE, TAIL, assemble, pairs_of, switches
@@ -62,8 +62,8 @@ class CurveEncoder:
         if count > _MOST_VISIBLE:
             raise InputError(f"n_visible must be at most {_MOST_VISIBLE}, got {count}")
         size = as_positive("strength", strength)
-        self.network, self._silent = _universal(count, name, size)
-        self._basis = _basis(name, size)
+        self.network, self._silent = _universal(count, name, ACTIVATIONS[name], size)
+        self._basis = _basis(ACTIVATIONS[name], size)
 
     def encode(self, curve: ArrayLike, units: ArrayLike = 1.0) -> LieEDNN:
         """The universal network with the code and the target of a curve.
@@ -192,7 +192,7 @@ class _Basis:
 
 
 @lru_cache(maxsize=8)
-def _universal(n: int, activation: str, strength: float) -> tuple[LieEDNN, Floats]:
+def _universal(n: int, activation: str, function: Activation, strength: float) -> tuple[LieEDNN, Floats]:
     """The universal network of N visible neurons, and the hidden start of code zero."""
     network = assemble(pairs_of(n, CODE_PAIRS, strength), 1.0, np.zeros((n, 6)), activation)
     if not network.certified:
@@ -201,8 +201,8 @@ def _universal(n: int, activation: str, strength: float) -> tuple[LieEDNN, Float
 
 
 @lru_cache(maxsize=4)
-def _basis(activation: str, strength: float) -> _Basis:
-    phi = ACTIVATIONS[activation].phi
+def _basis(activation: Activation, strength: float) -> _Basis:
+    phi = activation.phi
     a, c = switches(CODE_PAIRS)
     # An odd polynomial in d through phi(z + d) - phi(z - d) at as many d as it has terms.
     tried = LARGEST_CODE * np.arange(1.0, 1.0 + len(_POWERS)) / len(_POWERS)
@@ -228,7 +228,7 @@ def _basis(activation: str, strength: float) -> _Basis:
     looks = np.append(np.arange(0, len(even), _STRIDE), np.arange(len(even), len(g), _STRIDE))
     bumps = shifts[0, looks]
     # Near the end u = D delta s 2 phi'(a), and x - x_d = e^-t (A + B t) with B = 2 D phi'(a) delta.
-    tail = 2.0 * TAIL * strength * ACTIVATIONS[activation].slope(a)
+    tail = 2.0 * TAIL * strength * activation.slope(a)
     used = int((g[looks] > _LEAST_RIPPLING).sum())
     ripples = np.pad(third_derivative(1.0 - g[looks[:used]]), ((0, 0), (0, len(looks) - used)))
     ridge = 1e-6  # weight of the squared codes D delta
@@ -236,8 +236,8 @@ def _basis(activation: str, strength: float) -> _Basis:
     inverse = np.linalg.pinv(rows)
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
-    slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
-    steeper = ACTIVATIONS[activation].bend(a + c)
+    slope = activation.slope_at(a + c, phi(a + c))
+    steeper = activation.bend(a + c)
     # The values and time derivatives of u = 2 D delta g phi'(a + c g) at g = 1, with g' = -g.
     start = 2.0 * strength * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T

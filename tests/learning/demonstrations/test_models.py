@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
+from lieednn_sim.learning.demonstrations import Demonstration, align
+from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, StableMixture, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitives import DynamicPrimitive, ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.lie.se3 import twist_of
 from lieednn_sim.synthesis import ShapingOptions
 
 
@@ -135,6 +139,37 @@ def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
     start = displacement(posed.mean[0])
     path = displacement(model.reproduce(twist_of(np.stack([start, start + off])), posed.t))
     np.testing.assert_allclose(path[1] - path[0], np.exp(-model.tau)[:, None] * off, atol=5e-5)
+
+
+@pytest.mark.parametrize("half_turns", [0.7, 1.4, 1.75])
+def test_turns_beyond_pi_are_made_as_shown_from_a_given_start(half_turns):
+    """Its rotation alone does not tell which way round the frame turned."""
+    s = np.linspace(0.0, 1.0, 100)
+    turn = Rotation.from_rotvec(np.outer(s, half_turns * np.pi * np.array([0.6, 0.0, 0.8])))
+    columns = np.column_stack([0.3 * (1.0 - s), 0.1 * np.sin(np.pi * s), 0.0 * s, turn.as_quat(scalar_first=True)])
+    shown = align([Demonstration.from_samples(columns)])
+    model = ShapedMotion.fit(shown, family=False)
+    poses = model.poses()
+    for goal in (None, poses[-1]):
+        given = model.poses(poses[0], goal)
+        assert (given.rotation * poses.rotation.inv()).magnitude().max() < 1e-5
+        np.testing.assert_allclose(given.translation, poses.translation, atol=1e-6)
+    # A primitive turns that way, too.
+    t = np.linspace(0.0, shown.duration, 50)
+    wanted = displacement(at_times(shown.mean[None], shown.t, t))[0]
+    np.testing.assert_allclose(
+        displacement(DynamicPrimitive.fit(shown, 90).reproduce(shown.mean[0], t)), wanted, atol=0.1
+    )
+
+
+def test_a_fit_does_not_depend_on_the_threads_of_blas(planar):
+    fits = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, "blas"):
+            fits.append(ShapedMotion.fit(planar, options=ShapingOptions(neurons=(16,))).network)
+    assert fits[0] == fits[1]
+    # No start at all has no motion.
+    assert ShapedMotion.fit(planar, family=False).reproduce(np.empty((0, 6)), planar.t).shape == (0, len(planar.t), 6)
 
 
 def test_numbers_of_a_placed_switch_are_its_place_its_slope_and_a_vector(planar):
