@@ -142,6 +142,11 @@ def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
     return set()
 
 
+def equalities_hold(option: mujoco.MjOption) -> bool:
+    """Whether no flag of a model's options, or of a spec's, disables its equalities."""
+    return not option.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+
+
 def loop_closures(model: mujoco.MjModel) -> list[int]:
     """The equalities that hold bodies together, `connect` and `weld`, of those that are active at the beginning."""
     kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)

@@ -158,12 +158,7 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
 
 
 def required_forces(
-    model: mujoco.MjModel,
-    qpos: Floats,
-    qvel: Floats | float = 0.0,
-    qacc: Floats | float = 0.0,
-    *,
-    limited: bool = False,
+    model: mujoco.MjModel, qpos: Floats, qvel: Floats | float = 0, qacc: Floats | float = 0, *, limited: bool = False
 ) -> Floats:
     """Generalised forces ``(S, nv)`` that actuators need for a motion, after gravity compensation and springs.
 

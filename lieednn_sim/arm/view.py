@@ -125,12 +125,7 @@ def read_view(
 
 
 def _chain(
-    model: mujoco.MjModel,
-    dependents: Dependents,
-    qpos: Floats,
-    chosen: Sequence[int],
-    tip: str | None,
-    base: str | None,
+    model: mujoco.MjModel, dependents: Dependents, qpos: Floats, chosen: list[int], tip: str | None, base: str | None
 ) -> tuple[Frame, list[int], tuple[int, ...]]:
     """The base's frame, the bodies from the world to the last link, and the chain's joints from the base outwards."""
     followers = (*dependents.lines, *dependents.sums)

@@ -47,12 +47,7 @@ class Fabric(JointPolicy):
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        rate: float = 100.0,
-        *,
-        options: FabricOptions | None = None,
-        feedback: Feedback | None = FEEDBACK,
+        self, arm: Arm, rate: float = 100, *, options: FabricOptions | None = None, feedback: Feedback | None = FEEDBACK
     ) -> None:
         super().__init__(arm, rate, feedback=feedback)
         self._options, self._collisions = options or FabricOptions(), Collisions(arm)

@@ -20,6 +20,8 @@ from lieednn_sim.planning.transition import BaseMotion, along, straight
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
+_Vectors = dict[str, Floats]  # places [m] or velocities [m/s] ``(3,)`` of bodies by name
+
 _LOOKS = 3  # periods over which velocities are averaged
 
 
@@ -157,12 +159,7 @@ class Surroundings:
 
 
 def path_around(
-    arm: Arm,
-    places: dict[str, Floats],
-    ends: tuple[Floats, Floats],
-    margin: float,
-    options: RrtConnectOptions,
-    seed: int,
+    arm: Arm, places: _Vectors, ends: tuple[Floats, Floats], margin: float, options: RrtConnectOptions, seed: int
 ) -> BaseMotion:
     """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
@@ -185,8 +182,8 @@ def path_around(
 
 def evasion(
     arm: Arm,
-    places: dict[str, Floats],
-    velocities: dict[str, Floats],
+    places: _Vectors,
+    velocities: _Vectors,
     start: Floats,
     margin: float,
     lead: float,

@@ -17,6 +17,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
 
+_Controls = dict[str, dict[str, float]]  # by keyframe and actuator
+
 MARGIN = 0.05  # fraction of its range that home keeps away from each limit
 
 
@@ -66,7 +68,7 @@ def move_inside(arm: ModelArm, notes: list[str]) -> Floats:
     return np.where(np.abs(inside - given) > 1e-9, inside, given)
 
 
-def take_controls(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+def take_controls(spec: mujoco.MjSpec) -> _Controls:
     """Take controls, by keyframe and actuator, and activations out of a spec's keyframes: its actuators may change.
 
     Keyframes and actuators without a name get one.
@@ -82,11 +84,7 @@ def take_controls(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
 
 
 def give_controls(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    keyframe: int | None,
-    qpos: Floats,
-    commands: dict[str, dict[str, float]],
+    spec: mujoco.MjSpec, model: mujoco.MjModel, keyframe: int | None, qpos: Floats, commands: _Controls
 ) -> None:
     """Give the keyframes controls for the actuators that the spec has now, and make the keyframe ``home``.
 
