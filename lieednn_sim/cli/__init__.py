@@ -23,6 +23,8 @@ from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
 _DESCRIPTION = """Plan the motion of a robot arm with LieEDNN networks that carry a proof of global
 stability, simulate it in MuJoCo, render and evaluate it."""
+# What a closed terminal sends; Windows has no such signal.
+_HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)
 #: The commands by groups, with the modules of their functions; signature and docstring of a function give its options.
 COMMANDS = {
     "one motion": {
@@ -42,8 +44,8 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
-    0: success; 1: ``doctor`` found a problem, or ``train`` learned no network; 2: error; 130: interrupted; 141: the
-    reader of the output closed it; 143: terminated.
+    0: success; 1: ``doctor`` found a problem, or ``train`` learned no network; 2: error; 129: its terminal was closed;
+    130: interrupted; 141: the reader of the output closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     for name in ("stdin", "stdout", "stderr"):
@@ -110,11 +112,12 @@ def _output_failed() -> bool:
 
 
 class Interruption:
-    """Context, for the main thread, in which the first SIGINT or SIGTERM raises `KeyboardInterrupt`.
+    """Context, for the main thread, in which the first SIGINT, SIGTERM or SIGHUP raises `KeyboardInterrupt`.
 
-    A second signal ends the process at once. Objects that an interruption leaves half released, such as an OpenGL
-    context, may raise when Python deletes them; these errors are not printed in the block or, if it is the ``last`` one
-    before the process ends, after it. ``received`` is the signal, if any: libraries may swallow or change exceptions.
+    A second signal ends the process at once, but not a second SIGHUP: a closed terminal often sends two. Objects that
+    an interruption leaves half released, such as an OpenGL context, may raise when Python deletes them; these errors
+    are not printed in the block or, if it is the ``last`` one before the process ends, after it. ``received`` is the
+    signal, if any: libraries may swallow or change exceptions.
     """
 
     def __init__(self, *, last: bool = False) -> None:
@@ -125,8 +128,8 @@ class Interruption:
     def __enter__(self) -> Interruption:
         self._unraisable = sys.unraisablehook
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                # A background job of a shell ignores Ctrl-C, and must go on doing so.
+            for number in {signal.SIGINT, signal.SIGTERM, _HANGUP}:
+                # A background job of a shell ignores Ctrl-C, and one of nohup SIGHUP, and must go on doing so.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
         return self
@@ -138,7 +141,7 @@ class Interruption:
             sys.unraisablehook = self._unraisable
 
     def report(self) -> int:
-        """Print that the command was interrupted; returns 128 plus the signal's number, as shells do: 130 or 143."""
+        """Print that the command was interrupted; returns 128 plus the signal's number, as shells do, such as 130."""
         say("interrupted; files already reported are complete")
         return 128 + int(self.received or signal.SIGINT)
 
@@ -146,7 +149,7 @@ class Interruption:
         self.received = number
         sys.unraisablehook = lambda _: None
         for each in self._before:
-            signal.signal(each, signal.SIG_DFL)
+            signal.signal(each, signal.SIG_IGN if each == _HANGUP else signal.SIG_DFL)
         raise KeyboardInterrupt
 
 
