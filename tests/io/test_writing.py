@@ -242,6 +242,8 @@ def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path
     left, mine = [".x.unfinished-a1b2c3d4.npz", f".{MARK}.unfinished-a1b2c3d4"], [".mine.npz", "y.unfinished-a1b2c3d4"]
     for name in left:
         (tmp_path / name).touch()
+    left.append(".export.unfinished-a1b2c3d4")
+    (tmp_path / left[-1] / "data").mkdir(parents=True)
     with output_folder(tmp_path, "run", shared=True):
         assert names(tmp_path) == sorted([*left, MARK])
     for name in mine:
