@@ -39,7 +39,7 @@ def make_directory(path: StrPath) -> Path:
     with raising_file_error(f"cannot create directory {directory}"):
         directory.mkdir(parents=True, exist_ok=True)
     if not os.access(directory, os.W_OK):
-        raise FileError(f"cannot write into {directory}: permission denied; choose another --output")
+        raise FileError(f"cannot write into {directory}: permission denied; choose another directory")
     return directory
 
 
@@ -154,7 +154,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
     target = targets[0]
     try:
         for target in targets:
-            handle, name = tempfile.mkstemp(target.suffix, f".{target.stem}{UNFINISHED}", target.parent)
+            handle, name = tempfile.mkstemp(target.suffix, f".{target.stem[:40]}{UNFINISHED}", target.parent)
             os.close(handle)
             temporaries.append(Path(name))
         yield temporaries

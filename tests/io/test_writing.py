@@ -87,6 +87,10 @@ def test_temporary_file_is_beside_the_target_with_its_suffix_and_ordinary_permis
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
     assert (tmp_path / "film.mp4").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
     assert not temporary.exists()
+    longest = tmp_path / ("x" * 251 + ".npz")
+    with atomic_path(longest):
+        pass
+    assert longest.exists()
 
 
 def test_unwritable_places_are_named(tmp_path):
