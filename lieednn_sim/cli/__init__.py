@@ -15,7 +15,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 import lieednn_sim
 from lieednn_sim.cli import parser
@@ -56,6 +56,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     # Plots only go to files; a backend that the user chose for windows may not exist here.
     os.environ["MPLBACKEND"] = "agg"
+    # What an unknown width is called in some terminals; rich would print nothing.
+    if os.environ.get("COLUMNS") == "0":
+        del os.environ["COLUMNS"]
     if argv is None:
         warnings.showwarning = lambda message, *_: say(f"warning: {message}")
     interruption = Interruption(last=argv is None)
@@ -72,13 +75,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if interruption.received is not None:
             return interruption.report()
-        if isinstance(error, BrokenPipeError) and _output_failed():
+        if isinstance(error, BrokenPipeError) and not _print("", sys.stdout):
             # The output's reader closed it, as in `lieednn-sim demo | head`.
             return 141
         if isinstance(error, OSError) and not isinstance(error, LieEDNNError):
             # An error of the system: too many open files or processes, or a full disk.
-            failed = "cannot write to the standard output" if _output_failed() else "the system does not permit this"
-            error = FileError(f"{failed}: {error.strerror or error}")
+            why = "the system does not permit this" if _print("", sys.stdout) else "cannot write to the standard output"
+            error = FileError(f"{why}: {error.strerror or error}")
         elif isinstance(error, MemoryError):
             error = LieEDNNError(f"out of memory ({error})" if str(error) else "out of memory")
         elif not isinstance(error, LieEDNNError):
@@ -98,17 +101,6 @@ def bind(words: Sequence[str]) -> Callable[[], Any]:
     if command not in modules:
         raise InputError(f"no command {command!r}{parser.near(command, modules)}; commands: {', '.join(modules)}")
     return parser.bind(parser.definition(modules[command], command), words[1:])
-
-
-def _output_failed() -> bool:
-    """Whether the standard output can no longer be written, as on a full disk."""
-    try:
-        print(flush=True)  # flushing alone does not test an unbuffered output
-    except OSError:
-        # Buffered text would fail again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return True
-    return False
 
 
 class Interruption:
@@ -155,9 +147,16 @@ class Interruption:
 
 def say(message: str) -> None:
     """Print a line about the command to the standard error, if that can be written."""
+    _print(f"lieednn-sim: {message}", sys.stderr)
+
+
+def _print(text: str, stream: TextIO) -> bool:
+    """Print a line; returns whether the stream can be written, unlike one that is closed or on a full disk."""
     try:
-        print(f"lieednn-sim: {message}", file=sys.stderr, flush=True)
+        print(text, file=stream, flush=True)  # flushing alone does not test an unbuffered stream
     except OSError:
         # Buffered text would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return False
+    return True

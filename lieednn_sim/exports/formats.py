@@ -27,6 +27,7 @@ from lieednn_sim.validation import Seed, as_count, as_path, as_seed, quoted
 from lieednn_sim.values import Floats, StrPath
 
 _ATTEMPTS = 20  # seeds tried for each episode that is wanted
+_SCRATCH = f".export{io.UNFINISHED}"  # begins the name of the folder in which libraries write
 
 
 class Episode(NamedTuple):
@@ -112,10 +113,7 @@ def exporting(directory: StrPath) -> Iterator[tuple[Path, list[Path]]]:
     written: list[Path] = []
     # Libraries choose names in a folder of their own, on the same disk: the system's temporary folder may be small or
     # read-only. Only complete files are moved to where they are asked for.
-    with (
-        io.output_folder(directory, "export") as target,
-        tempfile.TemporaryDirectory(prefix=f".export{io.UNFINISHED}", dir=target) as scratch,
-    ):
+    with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory("", _SCRATCH, target) as scratch:
         folder = Path(scratch)
         yield folder, written
         result = sorted(path for path in folder.rglob("*") if path.is_file())
