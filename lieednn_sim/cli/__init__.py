@@ -23,8 +23,7 @@ from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
 _DESCRIPTION = """Plan the motion of a robot arm with LieEDNN networks that carry a proof of global
 stability, simulate it in MuJoCo, render and evaluate it."""
-# What a closed terminal sends; Windows has no such signal.
-_HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)
+_HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)  # of a closed terminal; Windows has none
 #: The commands by groups, with the modules of their functions; signature and docstring of a function give its options.
 COMMANDS = {
     "one motion": {
