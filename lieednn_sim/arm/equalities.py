@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -17,6 +18,7 @@ Indices = NDArray[np.int_]
 
 # A residual below this [m, rad] is rounding.
 EXACT = 1e-12
+_ONE_THREAD = threading.Lock()  # computes in the `mujoco.MjData` of residuals, which arms share
 
 
 def least_squares(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
@@ -64,19 +66,20 @@ class Residuals:
 
     def at(self, qpos: Floats) -> tuple[Floats, Floats]:
         """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
-        model, data = self._model, kinematics_at(self._model, qpos, self._data)
-        mujoco.mj_comPos(model, data)
-        if model.ntendon:
-            mujoco.mj_tendon(model, data)
-        mujoco.mj_makeConstraint(model, data)
-        count = data.ne
-        if not self._sparse:
-            return data.efc_pos[:count].copy(), data.efc_J.reshape(-1, model.nv)[:count].copy()
-        jacobian = np.zeros((count, model.nv))
-        if count:
-            row = data.efc_J_rownnz[:count], data.efc_J_rowadr[:count]
-            mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *row, data.efc_J_colind.ravel())
-        return data.efc_pos[:count].copy(), jacobian
+        with _ONE_THREAD:
+            model, data = self._model, kinematics_at(self._model, qpos, self._data)
+            mujoco.mj_comPos(model, data)
+            if model.ntendon:
+                mujoco.mj_tendon(model, data)
+            mujoco.mj_makeConstraint(model, data)
+            count = data.ne
+            if not self._sparse:
+                return data.efc_pos[:count].copy(), data.efc_J.reshape(-1, model.nv)[:count].copy()
+            jacobian = np.zeros((count, model.nv))
+            if count:
+                row = data.efc_J_rownnz[:count], data.efc_J_rowadr[:count]
+                mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *row, data.efc_J_colind.ravel())
+            return data.efc_pos[:count].copy(), jacobian
 
     def least_squares(self, jacobian: Floats, residual: Floats) -> tuple[Floats, Floats]:
         """The change ``(D, ...)`` of the dependent dofs that undoes a residual, and the Jacobian's singular values."""

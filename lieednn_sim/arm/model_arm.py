@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,7 +26,7 @@ from lieednn_sim.arm.view import read_view
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_nonnegative
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, weakly_cached
 
 #: The limits of an arm, by the names of its fields.
 LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
@@ -353,7 +354,7 @@ class ModelArm(SerialArm):
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+        return _finder(self, 0.0, threading.get_ident()).bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
@@ -386,10 +387,11 @@ class ModelArm(SerialArm):
         spec, model = discard_visuals(self)
         return replace(self, spec=spec, model=model, recipe=())
 
-    @cached_property
-    def _touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder()
-
-    @cached_property
+    @property
     def _nearly_touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder(self.clearance)
+        return _finder(self, self.clearance, threading.get_ident())
+
+
+@weakly_cached
+def _finder(arm: ModelArm, margin: float, _thread: int) -> ContactFinder:
+    return arm.without_visuals.contact_finder(margin)
