@@ -1,7 +1,22 @@
 """The names of the front door, and the modules that they are in; `__init__.py` imports each when it is first used."""
 
-from typing import Any
-
+from lieednn_sim import arm as arm
+from lieednn_sim import cli as cli
+from lieednn_sim import environments as environments
+from lieednn_sim import evaluation as evaluation
+from lieednn_sim import exports as exports
+from lieednn_sim import learning as learning
+from lieednn_sim import lie as lie
+from lieednn_sim import live as live
+from lieednn_sim import network as network
+from lieednn_sim import planning as planning
+from lieednn_sim import policies as policies
+from lieednn_sim import rendering as rendering
+from lieednn_sim import simulation as simulation
+from lieednn_sim import stability as stability
+from lieednn_sim import studies as studies
+from lieednn_sim import synthesis as synthesis
+from lieednn_sim import theory as theory
 from lieednn_sim.arm import Arm as Arm
 from lieednn_sim.arm import TaskSpaceRegion as TaskSpaceRegion
 from lieednn_sim.arm import solve_ik as solve_ik
@@ -45,5 +60,3 @@ from lieednn_sim.synthesis import shape as shape
 from lieednn_sim.synthesis import synthesize as synthesize
 
 __version__: str
-
-def __getattr__(name: str) -> Any: ...

@@ -202,7 +202,7 @@ _ANYTHING = _Hint("anything", lambda _: True)
 _PLAIN: dict[Any, _Hint] = {
     **dict.fromkeys((Any, object), _ANYTHING),
     **dict.fromkeys(
-        (Array, np.ndarray),
+        (Array, np.ndarray, np.typing.NDArray),  # the last is a type of its own since NumPy 2.5
         _Hint("an array of numbers", lambda value: hasattr(value, "__array__") or _is_real(value) or _is_list(value)),
     ),
     **dict.fromkeys((None, type(None)), _Hint("None", lambda value: value is None)),

@@ -120,11 +120,12 @@ def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):
     assert {path: path.read_bytes() for path in run.path.iterdir()} == before
 
 
-def test_a_read_only_directory_is_named_before_the_work(run, capsys, monkeypatch):
+def test_a_read_only_directory_is_named_before_the_work(run, tmp_path, capsys, monkeypatch):
     # Root may write everywhere: what the system would say is put into its mouth.
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda path, _: path != run.path)
     assert main(["simulate", str(run.path)]) == 2
     assert f"cannot write into {run.path}: permission denied" in capsys.readouterr().err
+    assert main(["render", str(run.path), "--output", str(tmp_path / "page.html")]) == 0
     monkeypatch.undo()
 
     def refuse(*_, **__):

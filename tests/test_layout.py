@@ -111,6 +111,11 @@ def test_the_front_door_knows_each_name_and_where_it_lives():
         assert value.__name__ == name
         assert value.__module__.startswith(f"lieednn_sim.{ls._MODULE_OF[name]}")
     assert {*ls.__all__, "__version__"} <= set(dir(ls))
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    rooms = [name.name for node in stub.body if getattr(node, "module", "") == "lieednn_sim" for name in node.names]
+    assert rooms == sorted(ls._SUBPACKAGES)
+    # Type checkers find names that are misspelt.
+    assert not any(isinstance(node, ast.FunctionDef) for node in stub.body)
 
 
 def test_the_api_reference_has_a_page_for_each_room():

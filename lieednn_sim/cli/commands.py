@@ -133,7 +133,8 @@ def render(run: Directory, *, output: File | None = None, look: Look) -> None:
     if path.suffix not in (".mp4", ".gif", ".html", ".png"):
         raise InputError(f"an output must end in .mp4, .gif, .html or .png, got {path.name!r}")
     io.check_outputs([path])
-    with directory.at_work(shared=True):
+    # A run of somebody else, which may be read-only, can be rendered into one's own folder.
+    with directory.at_work(shared=True) if output is None else io.locked(directory.path, shared=True):
         _render(directory, path, look)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from lieednn_sim.validation import Seed, as_count, as_path, as_seed, quoted
 from lieednn_sim.values import Floats, StrPath
 
 _ATTEMPTS = 20  # seeds tried for each episode that is wanted
+_SCRATCH = f".export{io.UNFINISHED}"  # begins the name of the folder in which libraries write
 
 
 class Episode(NamedTuple):
@@ -111,8 +111,9 @@ def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None 
 def exporting(directory: StrPath) -> Iterator[tuple[Path, list[Path]]]:
     """Yield a folder for files, and the list to which their final paths are added when the block succeeds."""
     written: list[Path] = []
-    # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
-    with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:
+    # Libraries choose names in a folder of their own, on the same disk: the system's temporary folder may be small or
+    # read-only. Only complete files are moved to where they are asked for.
+    with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory("", _SCRATCH, target) as scratch:
         folder = Path(scratch)
         yield folder, written
         result = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -121,7 +122,7 @@ def exporting(directory: StrPath) -> Iterator[tuple[Path, list[Path]]]:
             io.make_directory(parent)
         with io.atomic_paths(paths) as temporaries:
             for path, temporary in zip(result, temporaries, strict=True):
-                shutil.copyfile(path, temporary)
+                path.replace(temporary)
         written += paths
 
 

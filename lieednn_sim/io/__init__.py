@@ -8,6 +8,7 @@ from lieednn_sim.io.reading import load_json as load_json
 from lieednn_sim.io.reading import opened as opened
 from lieednn_sim.io.reading import read_array as read_array
 from lieednn_sim.io.reading import take as take
+from lieednn_sim.io.writing import UNFINISHED as UNFINISHED
 from lieednn_sim.io.writing import atomic_path as atomic_path
 from lieednn_sim.io.writing import atomic_paths as atomic_paths
 from lieednn_sim.io.writing import check_outputs as check_outputs

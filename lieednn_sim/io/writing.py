@@ -7,6 +7,7 @@ import csv
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -29,7 +30,7 @@ else:
 
 MARK = "lieednn_sim.json"  # marks a folder as one of this package, and says what it holds
 # Stands between a file's name and the random end of its temporary name; no other program uses it.
-_UNFINISHED = ".unfinished-"
+UNFINISHED = ".unfinished-"
 
 
 def make_directory(path: StrPath) -> Path:
@@ -38,7 +39,7 @@ def make_directory(path: StrPath) -> Path:
     with raising_file_error(f"cannot create directory {directory}"):
         directory.mkdir(parents=True, exist_ok=True)
     if not os.access(directory, os.W_OK):
-        raise FileError(f"cannot write into {directory}: permission denied; choose another --output")
+        raise FileError(f"cannot write into {directory}: permission denied; choose another directory")
     return directory
 
 
@@ -114,7 +115,7 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
     """Mark a folder as one of this package, or raise `FileError`; returns whether it was not marked before."""
     with raising_file_error(f"cannot read {folder}"):
         there = list(folder.iterdir())
-    unfinished = [path for path in there if path.name.startswith(".") and _UNFINISHED in path.name]
+    unfinished = [path for path in there if path.name.startswith(".") and UNFINISHED in path.name]
     mark = folder / MARK
     if mark in there:
         result = load_json(mark, "mark of a folder of results").get("holds")
@@ -127,7 +128,7 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
     else:
         save_json(mark, {"holds": holds})
     for path in unfinished if remove_unfinished else ():
-        path.unlink(missing_ok=True)
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     return mark not in there
 
 
@@ -153,7 +154,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
     target = targets[0]
     try:
         for target in targets:
-            handle, name = tempfile.mkstemp(target.suffix, f".{target.stem}{_UNFINISHED}", target.parent)
+            handle, name = tempfile.mkstemp(target.suffix, f".{target.stem[:40]}{UNFINISHED}", target.parent)
             os.close(handle)
             temporaries.append(Path(name))
         yield temporaries

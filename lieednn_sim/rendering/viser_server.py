@@ -7,7 +7,6 @@ would answer it. So each request is first checked by the headers that browsers s
 from __future__ import annotations
 
 import contextlib
-import io
 import ipaddress
 import logging
 import socket
@@ -15,11 +14,15 @@ import threading
 from collections.abc import Iterator, Mapping
 from http import HTTPStatus
 from typing import Any
+from unittest.mock import patch
 from urllib.parse import urlsplit
+
+import rich
 
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import optional_module
 
+# Held while viser starts or stops a server. Meanwhile rich is quiet, by which viser prints, in a notebook to no stream.
 _starting = threading.Lock()
 
 
@@ -31,7 +34,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
         LieEDNNError: viser is not installed, or the check cannot be put into its server.
     """
     viser = optional_module("viser")
-    with contextlib.redirect_stdout(io.StringIO()), _asking(host) as asked:
+    with _asking(host) as asked:
         server = viser.ViserServer(host=host, port=port, verbose=False)
     try:
         if not asked:
@@ -41,7 +44,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
         # The server waits for open connections, also for one that a browser holds unused: abort them after 0.3 s.
         for connection in [each for started in asked for each in list(started.server.handlers)]:
             connection.loop.call_soon_threadsafe(connection.loop.call_later, 0.3, connection.transport.abort)
-        with contextlib.redirect_stdout(io.StringIO()):
+        with _starting, patch.object(rich.get_console(), "quiet", True):
             server.stop()
 
 
@@ -81,7 +84,7 @@ def _asking(host: str) -> Iterator[list[Any]]:
     """
     import websockets.asyncio.server as websockets_server
 
-    serve, asked = websockets_server.serve, list[Any]()
+    asked = list[Any]()
 
     def serve_own_page(*args: Any, process_request: Any, **settings: Any) -> Any:
         def process(connection: Any, request: Any) -> Any:
@@ -93,9 +96,7 @@ def _asking(host: str) -> Iterator[list[Any]]:
         asked.append(serve(*args, process_request=process, logger=quiet, **settings))
         return asked[-1]
 
-    with _starting:
-        websockets_server.serve = serve_own_page  # type: ignore[assignment,misc]
-        try:
+    with _starting, patch.object(rich.get_console(), "quiet", True):
+        serve = websockets_server.serve
+        with patch.object(websockets_server, "serve", serve_own_page):
             yield asked
-        finally:
-            websockets_server.serve = serve  # type: ignore[misc]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import os
 import signal
 import sys
 import warnings
@@ -33,6 +34,14 @@ def test_what_is_printed_is_no_markup(capsys):
     assert all(part in printed for part in ("of [bold]arms", "[a]", "[b]", "[c]", "[red]9[/red]", "[d]"))
     to_stderr().print(text)
     assert text in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_a_terminal_of_unknown_width_shows_what_is_printed(tmp_path, start):
+    words = ["plan", "--planner", "minimum-jerk", "--target", "extended", "--output", str(tmp_path / "run")]
+    process = start("-m", "lieednn_sim", *words, env=os.environ | {"COLUMNS": "0"})
+    printed, errors = process.communicate()
+    assert "wrote in" in printed
+    assert errors == ""
 
 
 def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, monkeypatch, capsys):

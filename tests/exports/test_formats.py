@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tempfile
 
 import numpy as np
 import pytest
@@ -50,7 +51,9 @@ def test_quaternions_do_not_jump_where_the_hand_turns_further_than_half_a_turn(t
 @pytest.mark.parametrize(
     "name", [name for name, entry in FORMATS.items() if not entry.of_comparison and not entry.install]
 )
-def test_every_format_of_rollouts_writes_fewer_bytes_at_a_lower_rate(rollout, tmp_path, name):
+def test_every_format_of_rollouts_writes_fewer_bytes_at_a_lower_rate(rollout, tmp_path, monkeypatch, name):
+    # The system's temporary folder is often small, and read-only in some containers.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     every, fewer = (
         sum(path.stat().st_size for path in export(rollout, tmp_path / f"{rate:g}", format=name, rate=rate))
         for rate in (100.0, 10.0)

@@ -87,6 +87,10 @@ def test_temporary_file_is_beside_the_target_with_its_suffix_and_ordinary_permis
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
     assert (tmp_path / "film.mp4").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
     assert not temporary.exists()
+    longest = tmp_path / ("x" * 251 + ".npz")
+    with atomic_path(longest):
+        pass
+    assert longest.exists()
 
 
 def test_unwritable_places_are_named(tmp_path):
@@ -242,6 +246,8 @@ def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path
     left, mine = [".x.unfinished-a1b2c3d4.npz", f".{MARK}.unfinished-a1b2c3d4"], [".mine.npz", "y.unfinished-a1b2c3d4"]
     for name in left:
         (tmp_path / name).touch()
+    left.append(".export.unfinished-a1b2c3d4")
+    (tmp_path / left[-1] / "data").mkdir(parents=True)
     with output_folder(tmp_path, "run", shared=True):
         assert names(tmp_path) == sorted([*left, MARK])
     for name in mine:

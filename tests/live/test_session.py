@@ -203,7 +203,7 @@ def test_a_pushed_arm_yields_and_returns(arm, begin):
         assert session.tick.progress.distance <= session.tick.progress.bound + 1e-12
     assert session.tick.progress.time > 5.0
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-3
-    with pytest.raises(InputError, match="no body 'elbow' to push"):
+    with pytest.raises(InputError, match="no body to push 'elbow'; allowed: base, end effector"):
         session.push("elbow", (1.0, 0.0, 0.0))
 
 

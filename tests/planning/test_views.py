@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-import dm_control
 import mujoco
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.motion import check_joints, check_motion
 
-JACO = Path(dm_control.__file__).parent / "third_party" / "kinova" / "jaco_arm.xml"
 # Two arms, whose joints take turns in qpos only by tree; things that lie, hang from a moved mocap body, and are tied.
 SCENE = """
 <mujoco>

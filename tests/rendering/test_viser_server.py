@@ -2,9 +2,12 @@
 
 import contextlib
 import socket
+import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import rich
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -42,6 +45,24 @@ def test_its_own_page_is_answered_by_whatever_name_of_its_own(host):
 def test_pages_of_other_sites_are_refused(host, origin, why):
     headers = {"Host": host} if origin is None else {"Host": host, "Origin": origin}
     assert why in refusal(headers, "127.0.0.1")
+
+
+def test_its_messages_are_seen_nowhere_and_servers_start_in_several_threads(capsys, monkeypatch):
+    def serve(_):
+        with quiet_server() as server:
+            return server.get_port()
+
+    before = sys.stdout
+    with ThreadPoolExecutor(3) as threads:
+        assert all(threads.map(serve, range(9)))
+    assert sys.stdout is before
+    assert capsys.readouterr().out == ""
+    # In a notebook rich writes to no stream.
+    monkeypatch.setattr(rich.get_console(), "is_jupyter", True)
+    shown = []
+    monkeypatch.setattr("rich.jupyter.display", lambda *_: shown.append(_))
+    serve(0)
+    assert shown == []
 
 
 def test_a_page_of_another_origin_gets_no_byte_of_the_scene():

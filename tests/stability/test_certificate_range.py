@@ -50,8 +50,8 @@ def problems(draw):
         with np.errstate(all="ignore"):
             root = np.sqrt(diagonal)
             scaled = weight * (root[:, None] / root)
-            if np.isfinite(scaled).all():
-                largest = mu * np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[-1]
+            if np.isfinite(doubled := scaled + scaled.T).all():
+                largest = mu * np.linalg.eigvalsh(0.5 * doubled)[-1]
                 gamma = float(abs(largest) * (1.0 + draw(st.integers(-6, 6)) * 2.0**-52))
     return diagonal, weight, gamma, mu
 

@@ -154,14 +154,16 @@ def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Flo
     data = kinematics_at(model, qpos)
     _exclude_neighbours(spec, model, root)
     first, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    for key in spec.keys:
-        key.qpos = np.delete(key.qpos, slice(first, first + 7)) if len(key.qpos) else key.qpos
-        key.qvel = np.delete(key.qvel, slice(rate, rate + 6)) if len(key.qvel) else key.qvel
+    coordinates, rates = slice(first, first + 7), slice(rate, rate + 6)
+    keys = [(np.delete(key.qpos, coordinates), np.delete(key.qvel, rates)) for key in spec.keys]
     body = spec.bodies[root]
     _place(spec, body, model, data)
     notes.append(f"{body.name!r}, a free body that carries the arm, is fixed where it is at home")
+    # MuJoCo 4 checks the keyframes here, and refuses those that are already without the joint.
     spec.delete(spec.joints[joint])
-    return np.delete(qpos, slice(first, first + 7))
+    for key, values in zip(spec.keys, keys, strict=True):
+        key.qpos, key.qvel = values
+    return np.delete(qpos, coordinates)
 
 
 def tie_stages(spec: mujoco.MjSpec, model: mujoco.MjModel, couplings: Couplings, notes: list[str]) -> None:

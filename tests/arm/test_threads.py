@@ -1,0 +1,25 @@
+"""Several threads use the same arm."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import lieednn_sim as ls
+
+
+@pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_crane"])
+def test_an_arm_says_the_same_to_several_threads(name):
+    """Of the first, 20 configurations are in contact; the second has a closed loop."""
+    arm = ls.Arm.load(name, scene="window", seed=1)
+    rows = np.random.default_rng(0).uniform(*arm.position_limits.T, (300, arm.n_joints))
+
+    def asked(q):
+        return arm.near_contacts(q), arm.contacts(q), arm.qpos(q, strict=False).tolist(), arm.tip(q).tolist()
+
+    alone = list(map(asked, rows))
+    with ThreadPoolExecutor(4) as threads:
+        for _ in range(3):
+            assert list(threads.map(asked, rows)) == alone
