@@ -113,6 +113,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Demonstration": _demonstration,
     "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
     "ShapedMotion": lambda: demonstrations.ShapedMotion.fit(thing("Demonstrations"), 0.1, thing("ShapingOptions")),
+    "LearnedMotion": lambda: thing("ShapedMotion"),
     "TrainingOptions": lambda: learning.TrainingOptions.tracked(max_epochs=3),
     "RiemannianOptions": lambda: learning.RiemannianOptions(max_start_epochs=3, restarts=0),
     "TrainingResult": lambda: learning.train(0.1 * np.ones((1, 6)), thing("TrainingOptions")),
@@ -120,6 +121,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=(0.5, 10.0)),
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
+    "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), 0.99 * home()),
     "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
     "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=(0.5, 10.0)),
     "PlanSequence": lambda: ls.plan_sequence(

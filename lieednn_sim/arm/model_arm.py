@@ -248,7 +248,7 @@ class ModelArm(SerialArm):
         return self.to_qpos(as_floats("q", q, (self.n_joints,), batched=True), strict=strict)
 
     def to_qpos(self, q: Floats, *, strict: bool = True) -> Floats:
-        """`qpos` without its checks, which take as long as a test for contact."""
+        """`qpos` of an unchecked q, since the checks take as long as a test for contact."""
         positions, grasp = self.space.to_qpos(q), self.grasp
         if self.dependents is not None:
             positions = self.dependents.to_qpos(positions, strict=strict)

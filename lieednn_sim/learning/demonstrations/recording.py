@@ -130,7 +130,7 @@ class Demonstration:
         return self.twists_from(self.position[-1], self.rotation[-1])
 
     def twists_from(self, place: Floats, rotation: Floats) -> Floats:
-        """As `twists`, relative to another goal, of position ``(3,)`` and rotation ``(3, 3)``."""
+        """As `twists`, relative to another goal of position ``(3,)`` and rotation ``(3, 3)``, which are unchecked."""
         turn = Rotation.from_matrix(self.rotation @ rotation.T).as_rotvec()
         for k in reversed(range(len(turn) - 1)):
             turn[k] = turns_near(turn[k], turn[k + 1])
