@@ -22,8 +22,7 @@ bounds = ClearanceBounds(arm, [(np.zeros(1, dtype=int), np.ones(1))])
 
 
 def distance(at):
-    where = cubics.around(at, at)[0]
-    return 1e3 * bounds.least(where, 0.0 * where, 0.0 * where, 1.0)[0]
+    return 1e3 * bounds.least(*cubics.around(at, at), 1.0)[0]
 
 
 _, (above, below) = style.figure(4.4, 2, 1, height_ratios=(3, 2))
@@ -40,7 +39,7 @@ below.plot(
     np.arange(count + 1), distance(np.arange(count + 1.0)), "o", color=style.BLUE, ms=4, label="samples: all clear"
 )
 begin = np.arange(0.0, count, 0.5)
-least = 1e3 * bounds.least(*cubics.around(begin, begin + 0.5)[:3], 1.0)[0]
+least = 1e3 * bounds.least(*cubics.around(begin, begin + 0.5), 1.0)[0]
 for low, left in zip(least, begin, strict=True):
     colour = style.GREEN if low > 0.0 else style.RED
     below.fill_between([left, left + 0.5], 0.0 if low > 0.0 else -12.0, max(low, 0.0), color=colour, alpha=0.35, lw=0.0)
