@@ -1,7 +1,5 @@
 """Collision distances: against MuJoCo's contacts and its measuring of every pair, and derivatives numerically."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -175,17 +173,3 @@ def test_refusals_say_why():
 def test_what_has_nothing_to_collide_with_is_infinitely_clear(tmp_path, two_hinges):
     (tmp_path / "arm.xml").write_text(two_hinges)
     assert Collisions(Arm.load(tmp_path / "arm.xml", floor="none")).clearance([0.0, 0.0]) == np.inf
-
-
-@pytest.mark.parametrize(("name", "scene"), [("telescopic_pr", "window"), ("telescopic_crane", "poles")])
-def test_threads_may_use_one_arm_at_once(name, scene):
-    """Each has data of MuJoCo of its own; with the same data they found other contacts, or crashed."""
-    arm = Arm.load(name, scene=scene, seed=1)
-    low, high = arm.position_limits.T
-    q = np.random.default_rng(0).uniform(low, high, (1000, arm.n_joints))
-    alone = list(arm.near_contacts_along(q)), [arm.contacts(row) for row in q]
-    with ThreadPoolExecutor(4) as threads:
-        for found in threads.map(
-            lambda _: (list(arm.near_contacts_along(q)), [arm.contacts(row) for row in q]), range(4)
-        ):
-            assert found == alone
