@@ -11,10 +11,15 @@ from typing import Any
 try:
     import mujoco
 except Exception:  # of several OpenGL bindings, with no common base
-    from unittest.mock import patch
-
-    with patch.dict(os.environ, MUJOCO_GL="disable"):
+    asked = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
         import mujoco
+    finally:
+        if asked is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = asked
 
 __all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco", "scratch_data"]
 

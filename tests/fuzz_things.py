@@ -121,7 +121,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=(0.5, 10.0)),
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
-    "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), 0.99 * home()),
     "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
     "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=(0.5, 10.0)),
     "PlanSequence": lambda: ls.plan_sequence(

@@ -14,10 +14,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.network import BlockNetwork
-from lieednn_sim.planning import ShapedOptions
+from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
-from lieednn_sim.policies.making import PLANNED, PolicyTask
+from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
 from lieednn_sim.stability import Certificate
@@ -111,7 +111,7 @@ def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rat
     """Make the policy of some settings; raises as `make_policy` and `plan`. No other thread may use the arm."""
     motion = None
     if settings.policy in PLANNED:
-        motion = PolicyTask(arm, start, target, seed=seed).plan(planner=settings.planner).motion
+        motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
     options = ShapedOptions(rate=settings.rho) if settings.policy == "lieednn-shaped" else None
     goal = target if motion is None else motion
     policy = make_policy(settings.policy, arm, goal, rate=rate, start=start, options=options, seed=seed)

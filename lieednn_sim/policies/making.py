@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -14,7 +14,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.planning.options import PlannerOptions, given_options
-from lieednn_sim.planning.problem import USUAL_DURATION
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.registry import POLICIES
@@ -56,12 +55,8 @@ class PolicyTask:
     @cached_property
     def motion(self) -> Motion:
         """The motion to track or to imitate: the one that was given, or one that the default planner makes."""
-        given = self.given or self.plan()
+        given = self.given or plan(self.arm, self.target, start=self.start, seed=self.seed)
         return given.motion if isinstance(given, Plan) else given
-
-    def plan(self, **options: Any) -> Plan:
-        """The plan of `planning.plan`; slow arms get the time that they need."""
-        return plan(self.arm, self.target, start=self.start, duration=USUAL_DURATION, seed=self.seed, **options)
 
 
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:

@@ -33,7 +33,7 @@ from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.stepping import RungeKuttaStepper
-from lieednn_sim.planning import ShapedOptions
+from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
@@ -242,7 +242,7 @@ class CertifiedPolicyOptions(NetworkOptions):
 
 def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
     """A network along the motion of the planner ``lieednn-shaped``."""
-    result = task.plan(planner="lieednn-shaped", options=options)
+    result = plan(task.arm, task.target, planner="lieednn-shaped", start=task.start, options=options, seed=task.seed)
     network, motion = result.network, result.motion
     assert isinstance(network, LieEDNN)
     if options.rate == 1.0 and network.n_hidden:
