@@ -208,6 +208,7 @@ class Arm(ModelArm):
         """
         seed = as_seed("seed", seed)
         own = is_scene_file(scene)
+        # What is not the name of a file must be a text, which `as_choice` checks.
         label = scene_label(scene) if own else as_choice("scene", scene, SCENES, "or a file")  # type: ignore[arg-type]
         if label == "free":
             return self

@@ -102,4 +102,5 @@ def chosen(options: ImportOptions) -> ImportOptions:
         allowed = ", ".join(sorted(ImportOptions.__optional_keys__))
         raise InputError(f"no option {', '.join(map(repr, sorted(unknown)))} of an import; allowed: {allowed}")
     usual = {"servos": "keep", "overlaps": "ignore", "floor": "auto"}
+    # A comprehension is a plain dict to mypy, whatever keys it has.
     return {name: value for name, value in options.items() if value not in (None, (), [], {}, usual.get(name))}  # type: ignore[return-value]

@@ -93,7 +93,7 @@ def parse_yaml(content: bytes) -> Any:
 def _loader() -> Any:
     import yaml
 
-    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # one of two classes
         """Reads 1e-3 as a number, as YAML 1.2 does, not as a text; refuses duplicate keys."""
 
         def __init__(self, stream: Any) -> None:
