@@ -124,9 +124,6 @@ class Collisions:
 
         The gradient is exact where geoms are apart. In penetration it is taken along MuJoCo's direction of separation,
         which for capsules in boxes is not always the shortest one.
-
-        Raises:
-            InputError: q is malformed, or the cutoff is not positive.
         """
         kinematics_at(self.arm.geometry, self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), self._data)
         limits = as_floats("cutoff", cutoff, (), batched=True)

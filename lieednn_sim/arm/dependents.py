@@ -95,7 +95,6 @@ class Dependents:
         With loops, rows along a path take the least time. If not ``strict``, rows without a solution become NaN.
 
         Raises:
-            InputError: the shape is wrong.
             NoSolutionError: the loops cannot be closed there, or not on the branch of the state.
         """
         result = self._checked(qpos).copy()
@@ -129,7 +128,6 @@ class Dependents:
         The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities; those of other joints are zero.
 
         Raises:
-            InputError: the shape is wrong.
             NoSolutionError: a row is at a dead centre of a loop.
         """
         rows = self._checked(qpos)

@@ -42,7 +42,6 @@ def solve_ik(
         seed: seed of the random starts that are tried when the first one fails.
 
     Raises:
-        InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
     search = _Search(arm, _Point(position, rotation), None, arm.check_start(start))
@@ -70,7 +69,6 @@ def ik_candidates(
         path_constraint: a region in which the end effector is, too.
 
     Raises:
-        InputError: a value is malformed.
         NoSolutionError: none was found; the message says how close the search came.
     """
     rest = arm.check_start(start)

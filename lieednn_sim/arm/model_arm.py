@@ -54,9 +54,6 @@ class ModelArm(SerialArm):
         payload: mass at the end effector's frame [kg], part of `model` (`Arm.with_payload`).
         dependents: for a view, the joints that it moves by closed loops or curves, if any.
         stops: for a view, ranges of these joints and of tendons, if any; configurations beyond them are refused.
-
-    Raises:
-        InputError: a clearance, tolerance or limit is negative or NaN, or has a wrong shape.
     """
 
     recipe: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()
@@ -242,7 +239,6 @@ class ModelArm(SerialArm):
             strict: whether to raise where loops cannot be closed; otherwise the positions there are NaN.
 
         Raises:
-            InputError: q is malformed.
             NoSolutionError: loops cannot be closed.
         """
         return self.to_qpos(as_floats("q", q, (self.n_joints,), batched=True), strict=strict)

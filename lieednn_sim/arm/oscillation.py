@@ -162,7 +162,6 @@ class PassiveJoints:
         They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`.
 
         Raises:
-            InputError: q is malformed.
             NoSolutionError: as for `at_rest`.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
@@ -187,9 +186,6 @@ def with_load(arm: _Arm, mass: float = 1.0, length: float = 1.0) -> _Arm:
     """An arm with another load, by factors on the mass of what hangs (`PassiveJoints.bodies`) and on how far it hangs.
 
     Distances from the joints that it hangs at change, but not sizes.
-
-    Raises:
-        InputError: a factor is not positive.
     """
     mass, length = as_positive("mass", mass), as_positive("length", length)
     model, passive = copy.deepcopy(arm.model), PassiveJoints(arm)

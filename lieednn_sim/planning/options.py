@@ -24,9 +24,6 @@ class PlannerOptions:
     A field's annotation says what it takes: ``int`` an integer from 1 on, ``float`` a positive number, ``tuple[...]``
     one or more items, any other class an instance of it. The field's metadata may bound numbers further by ``range``,
     and list the allowed names by ``choices``.
-
-    Raises:
-        InputError: a value is not allowed.
     """
 
     def __post_init__(self) -> None:

@@ -32,9 +32,6 @@ class Policy(ABC):
         qd: ``(n,)`` rates of this reference [rad/s, m/s].
         certified: whether it is proved that the policy's state converges to a target at rest from every state.
         channel_units: units of the quantities in `channels`, by name.
-
-    Raises:
-        InputError: the rate is not positive.
     """
 
     certified = False

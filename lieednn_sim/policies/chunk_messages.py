@@ -38,9 +38,6 @@ class ChunkStep:
         delay: age of the observation that a chunk was made from when it comes [s]; a transition may have its own in
             its complementary data, as ``delay``.
         degrees: whether the pipeline has hinges in degrees, not in radians.
-
-    Raises:
-        InputError: a time is not positive.
     """
 
     def __init__(self, policy: ChunkPolicy, dt: float, *, delay: float = 0.0, degrees: bool = False) -> None:

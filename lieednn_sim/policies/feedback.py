@@ -32,9 +32,6 @@ class Feedback:
         rate: k, rate at which the state is pulled to the measured joints [1/s]; with 0 only the clock waits.
         tolerance: e_0, error up to which the arm does not pull, as a fraction of the joints' ranges.
         patience: e_1, error at which the policy runs at half its speed, as a fraction of the joints' ranges.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     rate: float = 5.0

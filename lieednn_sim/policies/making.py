@@ -33,9 +33,6 @@ class PolicyTask:
 
     Its fields are the arguments of `make_policy`, with joint coordinates ``(n,)`` for start and first target, and
     ``given`` for a plan or motion that was given.
-
-    Raises:
-        InputError: a value is malformed.
     """
 
     arm: Arm

@@ -52,9 +52,6 @@ class CurveEncoder:
     Attributes:
         network: the certified `LieEDNN` with code zero and target zero: N visible neurons and M = 2 N `CODE_PAIRS`
             hidden ones, gamma = mu = 1, rate rho = 1.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION, strength: float = STRENGTH) -> None:
@@ -92,11 +89,7 @@ class CurveEncoder:
         return self._started(code)
 
     def with_code(self, code: ArrayLike, target: ArrayLike) -> LieEDNN:
-        """The universal network with a code ``(M, 6)``, to a target ``(N, 6)``; the certificate is not checked again.
-
-        Raises:
-            InputError: a shape does not fit.
-        """
+        """The universal network of a code ``(M, 6)``, to a target ``(N, 6)``; its certificate is not checked again."""
         return self.network.retarget(target).with_start(as_floats("code", code, self._silent.shape))
 
     @property

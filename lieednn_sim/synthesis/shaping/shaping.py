@@ -46,9 +46,6 @@ class ShapingOptions:
             as fast as they move along it.
         neurons: numbers of hidden neurons besides the clock, tried in turn.
         activation: a name of `network.ACTIVATIONS`.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     rate: float = 1.0
