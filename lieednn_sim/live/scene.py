@@ -193,8 +193,12 @@ class ArmScene:
 def status(snapshot: Snapshot) -> str:
     """What the policy does, what is proved about it, and its errors: HTML that is readable on dark and on white."""
     session, tick, progress = snapshot.session, snapshot.tick, snapshot.tick.progress
-    usual = ("plans", _IDLE) if session.busy else (snapshot.state, "inherit")
-    said, colour = (problem, _BAD) if (problem := snapshot.aimed.problem or session.failure) else usual
+    if problem := snapshot.aimed.problem or session.failure:
+        said, colour = problem, _BAD
+    elif session.busy:
+        said, colour = "plans", _IDLE
+    else:
+        said, colour = snapshot.state, "inherit"
     rows = [
         ("policy", escape(tick.policy or "waits for a policy")),
         ("proof", _proof(snapshot)),

@@ -8,7 +8,6 @@ backend by drawing a frame in a child process, and lets MuJoCo choose again. Unt
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import json
 import os
@@ -94,8 +93,11 @@ def choose_backend() -> Backend:
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
     and ``detail`` says why. If unset: EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW; and at last ``disable``.
     """
-    with contextlib.suppress(KeyError, TypeError, ValueError):
+    try:
         inherited = Backend(**json.loads(os.environ[_INHERITED]))
+    except (KeyError, TypeError, ValueError):
+        pass  # this process inherits none
+    else:
         if _variables(inherited.name)["MUJOCO_GL"] == os.environ.get("MUJOCO_GL"):
             return inherited
     requested = os.environ.get("MUJOCO_GL", "").strip()

@@ -14,7 +14,6 @@ import threading
 from collections.abc import Iterator, Mapping
 from http import HTTPStatus
 from typing import Any
-from unittest.mock import patch
 from urllib.parse import urlsplit
 
 import rich
@@ -44,7 +43,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
         # The server waits for open connections, also for one that a browser holds unused: abort them after 0.3 s.
         for connection in [each for started in asked for each in list(started.server.handlers)]:
             connection.loop.call_soon_threadsafe(connection.loop.call_later, 0.3, connection.transport.abort)
-        with _starting, patch.object(rich.get_console(), "quiet", True):
+        with _starting, _changed(rich.get_console(), "quiet", True):
             server.stop()
 
 
@@ -71,9 +70,11 @@ def _name(netloc: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    with contextlib.suppress(ValueError):
-        return bool(ipaddress.ip_address(name))
-    return False
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 @contextlib.contextmanager
@@ -96,7 +97,18 @@ def _asking(host: str) -> Iterator[list[Any]]:
         asked.append(serve(*args, process_request=process, logger=quiet, **settings))
         return asked[-1]
 
-    with _starting, patch.object(rich.get_console(), "quiet", True):
+    with _starting, _changed(rich.get_console(), "quiet", True):
         serve = websockets_server.serve
-        with patch.object(websockets_server, "serve", serve_own_page):
+        with _changed(websockets_server, "serve", serve_own_page):
             yield asked
+
+
+@contextlib.contextmanager
+def _changed(owner: Any, name: str, value: object) -> Iterator[None]:
+    """Give an attribute another value while the block runs."""
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, before)

@@ -19,6 +19,8 @@ from lieednn_sim.values import Floats
 _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 4  # pairs of bodies in a remark
+_MANY_TURNS = 4.0  # of a hinge with limits
+_SLOW = 5.0  # a slower servo is worth a remark [Hz]
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
 # `singularities.NEARLY_SINGULAR` paths begin to be straightened.
 _SINGULAR = 0.1
@@ -40,7 +42,7 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
         yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
     turns = zip(arm.joint_names, arm.ranges, arm.continuous, strict=True)
     for joint, (name, span, endless) in enumerate(turns):
-        if arm.unit(joint) == "rad" and span > 4.0 * 2.0 * np.pi and not endless:
+        if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
             yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
         elif arm.unit(joint) == "rad" and span < np.deg2rad(2.0 * np.pi):  # a full turn in radians, read as degrees
             yield f"{name} may turn by {np.rad2deg(span):.3g} degrees: are its limits in radians, the file in degrees?"
@@ -79,7 +81,7 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     loads = required_forces(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     frictions = dry_friction(arm.model, basis)
     design = "designed servos (servos='design', --servos design) or " if any(servo.kept for servo in servos) else ""
-    if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < 5.0):
+    if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < _SLOW):
         yield f"servos too slow to follow motions well: {slow}; what helps: {design}the controller inverse-dynamics"
     held = [by / servo.kp if servo.kp else 0.0 for servo, by in zip(servos, frictions, strict=True)]
     if stuck := ", ".join(f"{servos[j].name} {arm.amount(j, off)}" for j, off in enumerate(held) if off > _OFF):

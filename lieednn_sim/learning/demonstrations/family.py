@@ -112,11 +112,7 @@ def with_response(
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
     clock = clockwork(1.0, ACTIVATIONS[shaping.network.activation])
     states = Cascade(clock, curve[0], curve[-1]).states(shaping.parameters)[:-1]
-    # Phases (T,) of the mean's points beside the states (T, N, 6): equal ones are no equal fractions of its length.
-    steps = (np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2)) for some in (curve, states))
-    passed, covered = (np.append(0.0, np.cumsum(lengths)) for lengths in steps)
-    fraction, row = Curve.through(curve, units).feet(states, covered / covered[-1]), np.linspace(0.0, 1.0, len(curve))
-    phase = np.interp(fraction, passed / passed[-1], row)
+    phase, row = _phases(states, curve, units), np.linspace(0.0, 1.0, len(curve))
 
     def at_instants(curves: Floats) -> Floats:
         flat = curves.reshape(len(curves), -1).T
@@ -129,6 +125,15 @@ def with_response(
     away = (paths[:, [0, -1]] - curve[[0, -1]])[:, : 1 + goals].reshape(len(paths), -1)
     network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, away, codes)
     return network, response, codes
+
+
+def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
+    """Phases ``(T,)`` of the points of the mean ``(K, N, 6)`` that are nearest to states ``(T, N, 6)``."""
+    # Equal phases of the demonstrations are not equal fractions of their mean's length.
+    steps = (np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2)) for some in (curve, states))
+    passed, covered = (np.append(0.0, np.cumsum(lengths)) for lengths in steps)
+    fraction = Curve.through(curve, units).feet(states, covered / covered[-1])
+    return np.interp(fraction, passed / passed[-1], np.linspace(0.0, 1.0, len(curve)))
 
 
 def describe(response: Response | None) -> str:

@@ -80,8 +80,8 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
             refusal = refusal or result.message
             continue
         try:
-            way = path_of(problem, joints, result.network, options.waypoints), 1, options.bend
-            return in_time(lambda asked, *way: joint_motion(asked, *smoothed(asked, *way)), problem, *way)
+            path = path_of(problem, joints, result.network, options.waypoints)
+            return in_time(_along, problem, path, options.bend)
         except PlanError as error:
             refusal = str(error)
     raise PlanError(f"no quaternion network of {options.networks} can be used: {refusal}")
@@ -148,3 +148,8 @@ def path_of(problem: PlanningProblem, joints: JointQuaternions, network: Hopfiel
     length = travelled(q / joint_scale(problem.arm))
     even = np.linspace(0.0, length[-1], count)
     return np.stack([np.interp(even, length, joint) for joint in q.T], axis=1)
+
+
+def _along(problem: PlanningProblem, path: Floats, bend: float) -> Motion:
+    """The motion along waypoints ``(W, n)``, smoothed."""
+    return joint_motion(problem, *smoothed(problem, path, 1, bend))
