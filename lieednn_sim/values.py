@@ -72,11 +72,11 @@ def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
     results: WeakKeyDictionary[Any, dict[Any, _Class]] = WeakKeyDictionary()
 
     @wraps(function)
-    def cached(first: Any, *others: Any) -> _Class:
+    def cached(first: Any, *others: Any, **named: Any) -> _Class:
         # Results may hold an `MjData`, which no two threads may use at once.
-        known, key = results.setdefault(first, {}), (threading.get_ident(), *others)
+        known, key = results.setdefault(first, {}), (threading.get_ident(), *others, *named.items())
         if key not in known:
-            known[key] = function(first, *others)
+            known[key] = function(first, *others, **named)
         return known[key]
 
     return cached

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,15 @@ from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats, Ints
 
 _TOUCHING = 1e-6  # distance below which normals are lost in rounding, so that nothing is proved [m]
+
+
+class _Changes(NamedTuple):
+    """How the coordinates may change at P configurations, as in a call of `ClearanceBounds`."""
+
+    rates: Floats  # (P, nv, n) velocities of the model's dofs per unit rate of each coordinate
+    path: Floats  # (P, n)
+    rest: Floats  # (P, 2, n)
+    spread: Floats  # (P, G)
 
 
 class ClearanceBounds:
@@ -154,8 +163,8 @@ class ClearanceBounds:
         margin = self._margins[index] + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
-        ways = np.ascontiguousarray(self._arm.unit_rates(q))[at], path[at], rest[at], spread[at]
-        places, come, deviated, levers = self._corners(place, at, moving, normals, alone, *ways)
+        changes = _Changes(np.ascontiguousarray(self._arm.unit_rates(q))[at], path[at], rest[at], spread[at])
+        places, come, deviated, levers = self._corners(place, at, moving, normals, alone, changes)
         # What joints do that move only the other geom, as in a branch of the arm, is bounded by its reach.
         also = reach[at, fixed] * (self._moves[fixed] & ~self._moves[moving])
         taken = steps[:, at]
@@ -211,17 +220,14 @@ class ClearanceBounds:
         return np.asarray(reach + np.vecdot(place.geoms[at, geoms], ways))
 
     def _corners(
-        self, place: Places, at: Ints, geoms: Ints, normals: Floats, alone: Floats, *ways: Floats
+        self, place: Places, at: Ints, geoms: Ints, normals: Floats, alone: Floats, changes: _Changes
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """How the corners of geoms move along normals if only the joints ``alone`` ``(P, J)`` move them.
-
-        ``ways`` are the rates of the joints, and path, rest and spread of the coordinates.
 
         Returns:
             The positions of the corners along the normals, ``(P, V)``; how far, to first order, they move along them by
             path and rest, ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
-        rates, path, rest, spread = ways
         corners = self._hulls[geoms, : self._counts[geoms].max(initial=1)]  # of each hull as many as the largest has
         turned = corners @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
@@ -233,12 +239,12 @@ class ClearanceBounds:
         turn = np.swapaxes(axes * self._dof_turns[:, None], -1, -2)
         shift = np.swapaxes(np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes), -1, -2)
         slopes = np.cross(points, ahead) @ turn[at] + ahead @ shift[at]
-        slopes = (slopes * alone[:, None, self._joints]) @ rates
+        slopes = (slopes * alone[:, None, self._joints]) @ changes.rates
         sizes = np.abs(slopes)
-        moved = np.abs((slopes @ path[..., None])[..., 0])
-        come = (sizes @ np.swapaxes(rest, -1, -2)).transpose(2, 0, 1)
+        moved = np.abs((slopes @ changes.path[..., None])[..., 0])
+        come = (sizes @ np.swapaxes(changes.rest, -1, -2)).transpose(2, 0, 1)
         come[0] += moved
-        deviated = (np.sqrt(np.square(slopes) @ np.square(self._members).T) @ spread[..., None])[..., 0]
+        deviated = (np.sqrt(np.square(slopes) @ np.square(self._members).T) @ changes.spread[..., None])[..., 0]
         # From the geoms' origins, since squares far from the world's lose digits.
         anchors, axes = place.anchors[at] - place.geoms[at, geoms][:, None], place.axes[at]
         square = np.square(turned).sum(axis=-1)[..., None] - 2.0 * turned @ np.swapaxes(anchors, -1, -2)

@@ -90,7 +90,7 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
     """
     assert rollout.tracked is not None
     assert rollout.clearance is not None
-    some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm.unsupported, True)
+    some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm.unsupported, own=True)
     collisions, least = Collisions(rollout.arm.unsupported), np.zeros(len(some) - 1)
     distance = [1e3 * min(collisions.nearest_at(qpos[None])[0], FAR) for qpos in rollout.qpos[some]]
     if not isinstance(bounds, str):

@@ -168,7 +168,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics |
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
-    bounds, step = bounds_of(arm, True), float(t[1] - t[0])
+    bounds, step = bounds_of(arm, own=True), float(t[1] - t[0])
     cubics = Cubics(step, q, qd) if cubics is None else cubics
     begin, end = _edges(q)
     tested = 0
@@ -224,7 +224,7 @@ def proved_clearance(
         others: whether `Clearance.others` is found, for those who read it.
         slack: by how much geoms may be nearer to each other than the joints have them [m].
     """
-    bounds, step = bounds_of(arm.unsupported, own), float(t[1] - t[0])
+    bounds, step = bounds_of(arm.unsupported, own=own), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
@@ -286,7 +286,7 @@ class ProofAhead:
 
     def advance(self) -> None:
         """Evaluate the bound of one more interval, or divide it."""
-        bounds = bounds_of(self._arm, True)
+        bounds = bounds_of(self._arm, own=True)
         if self.pair or not self._left or isinstance(bounds, str):
             return
         begin, end = self._left[-1]
@@ -328,7 +328,7 @@ def _joined(intervals: list[tuple[float, float]]) -> Floats:
 
 
 @weakly_cached
-def bounds_of(arm: Arm, own: bool) -> ClearanceBounds | str:
+def bounds_of(arm: Arm, *, own: bool) -> ClearanceBounds | str:
     """The bounds of an arm's distances, or why there are none; whether those of its own parts count."""
     n = arm.n_joints
     try:

@@ -35,7 +35,7 @@ class ClearanceMonitor:
 
     def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         self.clearance = proved_clearance(arm, t, q, qd)
-        self._arm, self._step, self._last, bounds = arm, float(t[1] - t[0]), len(t) - 1, bounds_of(arm, True)
+        self._arm, self._step, self._last, bounds = arm, float(t[1] - t[0]), len(t) - 1, bounds_of(arm, own=True)
         self._off, self._bounds = np.zeros_like(q), bounds
         self._cubics = Cubics(self._step, q, qd, self._off)
         self._before: tuple[float, Floats] | None = None

@@ -114,7 +114,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._later: list[_Part] = []
         self._newest, self._left = -math.inf, 0.0
         super().begin(q)
-        bounds_of(self.arm, True)  # made now, since the first time takes long
+        bounds_of(self.arm, own=True)  # made now, since the first time takes long
 
     @property
     def now(self) -> float:
@@ -236,7 +236,7 @@ class ChunkPolicy(ReplanningPolicy):
                 if most == np.inf:
                     raise RefusedError(Finding("motion", str(refused))) from None
         self._clear_way()
-        if not self._surroundings.places and not isinstance(bounds_of(self.arm, True), str):
+        if not self._surroundings.places and not isinstance(bounds_of(self.arm, own=True), str):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
             t = motion.duration * EVEN[::3]

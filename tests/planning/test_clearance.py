@@ -92,7 +92,7 @@ def test_every_instant_of_a_plan_is_as_clear_as_is_proved(name, scene, planner):
     assert found.bound >= arm.clearance
     instants = np.random.default_rng(0).uniform(0.0, plan.t[-1], 100)
     spline = CubicHermiteSpline(plan.t, plan.motion.q, plan.motion.qd)
-    collisions = clearance.bounds_of(arm, True)._collisions
+    collisions = clearance.bounds_of(arm, own=True)._collisions
     measured = collisions.clearance(spline(np.sort(instants)))
     assert found.bound <= measured + 1e-9
     if found.pair:
@@ -120,7 +120,7 @@ def test_pieces_hold_the_cubic():
 
 def test_where_nothing_can_be_proved_samples_are_tested(monkeypatch):
     arm, t, q, qd, _ = swing(0)
-    monkeypatch.setattr(clearance, "bounds_of", lambda *_: "no proof of clearance: here")
+    monkeypatch.setattr(clearance, "bounds_of", lambda *_, **__: "no proof of clearance: here")
     touching = [k for k, near in enumerate(arm.near_contacts_along(q)) if near]
     assert not touching
     check_clearance(arm, t, q, qd)
