@@ -9,7 +9,8 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.loading import _package_name, read_points
+from lieednn_sim.arm.importer.collada import read_points
+from lieednn_sim.arm.importer.loading import _package_name
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
 from lieednn_sim.synthesis import synthesize
