@@ -8,6 +8,8 @@ import os
 import threading
 from typing import Any
 
+import numpy as np
+
 try:
     import mujoco
 except Exception:  # of several OpenGL bindings, with no common base
@@ -21,7 +23,7 @@ except Exception:  # of several OpenGL bindings, with no common base
         else:
             os.environ["MUJOCO_GL"] = asked
 
-__all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco", "scratch_data"]
+__all__ = ["QuietWarnings", "geom_colours", "kinematics_along", "kinematics_at", "mujoco", "scratch_data"]
 
 _SCRATCH = threading.local()
 
@@ -44,6 +46,19 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_flex(model, data)
     return data
+
+
+def kinematics_along(model: Any, rows: Any, *arrays: str, data: Any = None) -> list[Any]:
+    """Arrays of `mujoco.MjData`, such as ``xpos``, at each row of positions ``(K, nq)``: each ``(K, ...)``."""
+    data = mujoco.MjData(model) if data is None else data
+    # Views are kept, since getting one from MuJoCo takes as long as reading it.
+    views = [getattr(data, name) for name in arrays]
+    results = [np.empty((len(rows), *view.shape)) for view in views]
+    for k, data.qpos[:] in enumerate(rows):
+        mujoco.mj_kinematics(model, data)
+        for result, view in zip(results, views, strict=True):
+            result[k] = view
+    return results
 
 
 def scratch_data(model: Any) -> Any:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_along, kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import ContactOffsets, colliding_pairs, geom_name, move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
@@ -43,13 +43,9 @@ class Places:
     """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
-        counts = (model.ngeom, 3), (model.ngeom, 9), (model.njnt, 3), (model.njnt, 3), (model.nbody, 9)
-        self.geoms, self.turns, self.anchors, self.axes, self.bodies = (np.empty((len(qpos), *k)) for k in counts)
-        for k, data.qpos[:] in enumerate(qpos):
-            mujoco.mj_kinematics(model, data)
-            self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
-            self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
-        self.turns = self.turns.reshape(*self.geoms.shape, 3)
+        arrays = kinematics_along(model, qpos, "geom_xpos", "geom_xmat", "xanchor", "xaxis", "xmat", data=data)
+        self.geoms, turns, self.anchors, self.axes, self.bodies = arrays
+        self.turns = turns.reshape(*self.geoms.shape, 3)
 
 
 class Collisions:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_along, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie.se3 import bend, skew
 from lieednn_sim.values import Floats
@@ -106,7 +106,7 @@ class LinkFrames:
     def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, frames: slice) -> None:
         self._model, self._data, self._frames = model, data, arm.frames[frames]
         # Views are kept, since getting one from MuJoCo takes as long as reading it.
-        self._qpos, self._positions, self._rotations = data.qpos, data.xpos, data.xmat
+        self._positions, self._rotations = data.xpos, data.xmat
 
     def __call__(self) -> Floats:
         """Return the frames at the data's positions in a new array."""
@@ -116,11 +116,7 @@ class LinkFrames:
     def at(self, qpos: Floats) -> Floats:
         """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data are set in turn."""
         # All bodies are copied, since selecting a few of them takes longer.
-        places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
-        for self._qpos[:], place, turn in zip(qpos, places, turns, strict=True):
-            mujoco.mj_kinematics(self._model, self._data)
-            place[:], turn[:] = self._positions, self._rotations
-        return self._rows(places, turns)
+        return self._rows(*kinematics_along(self._model, qpos, "xpos", "xmat", data=self._data))
 
     def _rows(self, xpos: Floats, xmat: Floats) -> Floats:
         places, turns = self._frames.poses(xpos, xmat)

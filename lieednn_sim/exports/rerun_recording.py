@@ -11,11 +11,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim._mujoco import geom_colours, mujoco
+from lieednn_sim._mujoco import geom_colours, kinematics_along, mujoco
 from lieednn_sim.exports.formats import samples
 from lieednn_sim.lie.se3 import same_signs
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.values import Floats
 
 
 def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = None) -> None:
@@ -54,7 +53,8 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
     stream.log("planned_path", rr.LineStrips3D([planned]), static=True)
     stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=0.02), static=True)  # [m]
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    positions, quaternions = _poses(model, rollout.qpos[rows])
+    positions, quaternions = kinematics_along(model, rollout.qpos[rows], "xpos", "xquat")
+    quaternions = same_signs(quaternions[..., [1, 2, 3, 0]])  # (x, y, z, w)
     # Mocap bodies are markers, or pull the arm; a rollout does not hold their poses. Those of a view stand still.
     for body in np.flatnonzero((model.body_mocapid < 0) | (arm.state is not None)).tolist():
         path = ["scene", model.body(body).name or f"body {body}"]
@@ -65,16 +65,6 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
         else:
             pose = rr.Transform3D(translation=positions[0, body], quaternion=quaternions[0, body])
             stream.log(path, pose, static=True)
-
-
-def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
-    """Positions ``(K, B, 3)`` and quaternions (x, y, z, w) ``(K, B, 4)`` of all bodies."""
-    data, result = mujoco.MjData(model), []
-    for data.qpos[:] in qpos:
-        mujoco.mj_kinematics(model, data)
-        result.append((data.xpos.copy(), data.xquat[:, [1, 2, 3, 0]]))
-    positions, quaternions = zip(*result, strict=True)
-    return np.array(positions), same_signs(np.array(quaternions))
 
 
 def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjModel, body: int) -> None:

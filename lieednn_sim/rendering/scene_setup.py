@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from lieednn_sim._mujoco import geom_colours, kinematics_at, mujoco
+from lieednn_sim._mujoco import geom_colours, kinematics_along, kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.loading import unused
@@ -39,15 +39,11 @@ def planned_frames(run: Rollout) -> Floats:
 
 def load_path(run: Rollout) -> Floats:
     """Path ``(K, 3)`` of the centre of mass of a hanging load; ``(0, 3)`` without one."""
-    model, places = run.arm.model, np.empty((len(run.t), 3))
-    mass = model.body_mass * PassiveJoints(run.arm).bodies
+    mass = run.arm.model.body_mass * PassiveJoints(run.arm).bodies
     if not mass.any():
-        return places[:0]
-    data = mujoco.MjData(model)
-    for point, data.qpos[:] in zip(places, run.qpos, strict=True):
-        mujoco.mj_kinematics(model, data)
-        point[:] = mass @ data.xipos / mass.sum()
-    return places
+        return np.empty((0, 3))
+    (centres,) = kinematics_along(run.arm.model, run.qpos, "xipos")
+    return np.asarray(np.vecmat(mass, centres) / mass.sum())
 
 
 def occupied(run: Rollout) -> Floats:

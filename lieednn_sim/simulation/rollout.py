@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim import io
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_along, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
@@ -174,11 +174,8 @@ class Rollout:
     def poses(self, name: str) -> RigidTransform:
         """Poses of shape ``(K,)`` of any body or site of the arm's model in the world; `InputError` lists the names."""
         model, frame = self.arm.model, BodyFrames.of([find_frame(self.arm.model, name)])
-        data, places, turns = mujoco.MjData(model), np.empty((len(self.t), 3)), np.empty((len(self.t), 3, 3))
-        for k, data.qpos[:] in enumerate(self.qpos):
-            mujoco.mj_kinematics(model, data)
-            places[k], turns[k] = (part[0] for part in frame.poses(data.xpos, data.xmat))
-        return transforms(turns, places)
+        places, turns = frame.poses(*kinematics_along(model, self.qpos, "xpos", "xmat"))
+        return transforms(turns[:, 0], places[:, 0])
 
     def link_poses(self) -> RigidTransform:
         """Simulated link frames as poses of shape ``(K, N)``."""

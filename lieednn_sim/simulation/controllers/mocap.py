@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_along, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import actuator_moments, driving
 from lieednn_sim.errors import InputError
@@ -67,14 +67,10 @@ class MocapWelds(Controller):
 
     def mocap_poses(self, steps: range) -> Floats:
         """Link frames of the reference a lead ahead of some steps: positions and quaternions ``(m, N, 7)``."""
-        model, scratch = self._arm.model, self._scratch
         qpos = self._reference.ahead(steps, self._lead)
         firsts, run = runs(qpos)
-        places, turns = np.empty((len(firsts), model.nbody, 3)), np.empty((len(firsts), model.nbody, 9))
-        for place, turn, scratch.qpos[:] in zip(places, turns, qpos[firsts], strict=True):
-            mujoco.mj_kinematics(model, scratch)
-            place[:], turn[:] = scratch.xpos, scratch.xmat
-        position, rotation = self._arm.frames.poses(places, turns)
+        bodies = kinematics_along(self._arm.model, qpos[firsts], "xpos", "xmat", data=self._scratch)
+        position, rotation = self._arm.frames.poses(*bodies)
         return np.concatenate([position, rotations(rotation).as_quat(scalar_first=True)], axis=-1)[run]
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
