@@ -93,9 +93,7 @@ class Dependents:
         """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
         With loops, rows along a path take the least time. If not ``strict``, rows without a solution become NaN.
-
-        Raises:
-            NoSolutionError: the loops cannot be closed there, or not on the branch of the state.
+        `NoSolutionError` if the loops cannot be closed there, or not on the branch of the state.
         """
         result = self._checked(qpos).copy()
         self._follow(result)
@@ -126,9 +124,7 @@ class Dependents:
         """B ``(..., nv, m)`` with qvel = B qd for the independent rates qd, at rows ``(..., nq)`` of `to_qpos`.
 
         The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities; those of other joints are zero.
-
-        Raises:
-            NoSolutionError: a row is at a dead centre of a loop.
+        `NoSolutionError` if a row is at a dead centre of a loop.
         """
         rows = self._checked(qpos)
         result = self._closed_form_basis(rows)

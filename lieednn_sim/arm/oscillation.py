@@ -135,8 +135,7 @@ class PassiveJoints:
     def at_rest(self, qpos: Floats) -> Floats:
         """Positions ``(S, nq)`` with the passive joints at stable rest, by Newton's method on their energy.
 
-        Raises:
-            NoSolutionError: they have no position of rest, like a free slide on a slope.
+        `NoSolutionError` if they have no position of rest, like a free slide on a slope.
         """
         result = np.array(qpos)
         if not len(self.dofs):

@@ -151,15 +151,14 @@ class JointMotion:
     ) -> JointMotion:
         """Shape a network by the demonstrations' mean, and by their response to the start.
 
+        `InputError` if the mean does not move.
+
         Args:
             demonstrations: demonstrations to follow.
             deviation: largest deviation from their mean, in their `units` [m]; by default `DEVIATION` times its length.
                 Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
             family: as for `ShapedMotion.fit`.
-
-        Raises:
-            InputError: the mean does not move.
         """
         arm, mean = demonstrations.arm, demonstrations.mean
         curve, fractions = arm.encode(mean), demonstrations.length_fractions(mean)
@@ -184,16 +183,14 @@ class JointMotion:
     def run(self, start: Floats, samples: int = 400) -> Motion:
         """The motion from joint position ``(n,)`` in the demonstrations' time, without checks of limits.
 
-        Raises:
-            PlanError: the network does not arrive.
+        `PlanError` if the network does not arrive.
         """
         return self._path(start).timed(self.duration, self.duration / samples, self.law)
 
     def planned(self, start: Floats) -> tuple[Motion, str]:
         """The motion at the model's time step, slowed down if limits require it; and the reason if it still breaks one.
 
-        Raises:
-            InputError: the start cannot be used, or the duration is too long or too short for the time step.
+        `InputError` if the start cannot be used, or the duration is too long or too short for the time step.
         """
         path, problem = self._path(start), PlanningProblem(self.arm, start, self.goal, self.duration)
         try:

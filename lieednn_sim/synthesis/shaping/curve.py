@@ -28,8 +28,7 @@ class Curve:
     def through(cls, samples: Floats, units: Floats) -> Curve:
         """The curve through samples ``(K, N, 6)``, smooth between them and without overshoot.
 
-        Raises:
-            InputError: all samples are the same point.
+        `InputError` if all samples are the same point.
         """
         steps = np.linalg.norm((np.diff(samples, axis=0) * units).reshape(len(samples) - 1, -1), axis=1)
         kept = np.append(True, steps > 1e-9 * max(float(steps.sum()), 1e-300))
