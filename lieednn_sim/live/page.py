@@ -36,8 +36,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
     Args:
         session: the session; the page runs it, and closes it.
-        host: address to listen at; only the loopback address keeps other machines out.
-        port: port to listen at; 0 for a free one.
+        host, port: as for `view`, but without a warning.
 
     Attributes:
         url: the page's address.

@@ -62,10 +62,9 @@ class JointDemonstrations:
         Args:
             arm: the arm.
             files: at least one.
-            rate: sampling rate of files without times [1/s].
+            rate, time_unit: as for `load_demonstrations`.
             phase: a name of `PHASES`; see `align`.
             goals: ``"aligned"``, all end at one goal, or ``"kept"``, each at its own.
-            time_unit: as for `load_demonstrations`.
 
         Raises:
             FileError: a file cannot be read, or is not such a table.

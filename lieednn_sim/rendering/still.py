@@ -39,9 +39,7 @@ def render_still(
     Args:
         rollout: the rollout.
         path: ``.png`` file.
-        camera: as in `Camera`.
-        size: (width, height) in pixels.
-        preset: a name of `PRESETS`.
+        camera, size, preset: as in `Camera`.
 
     Raises:
         InputError: the name does not end in .png, or camera, size or preset are not as allowed.

@@ -125,11 +125,9 @@ def robustness(
     """Prove bounds on pushes, moving targets and time steps, for x' = -gamma x + mu W phi(x) + mu b.
 
     Args:
-        weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
-        gamma, mu: decay rate and scale of the interaction, positive.
+        weight, gamma, mu, lyapunov_diagonal: as for `assess`.
         pushed: flat coordinates that pushes and targets may move, all by default.
         rotational_weight: W_R, ``(3N, 3N)``, on which proofs are searched for.
-        lyapunov_diagonal: a known diagonal P of the size of `rotational_weight` or else of `weight`.
 
     Raises:
         InputError: shapes disagree, or a coordinate does not exist.

@@ -183,9 +183,7 @@ class EquivariantLieEDNN(RigidNetwork):
     It is x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with Phi of the paper's appendix N.
 
     Attributes:
-        alpha, rotation, translation: ``(N, N)``, ``(N, N, 3, 3)`` and ``(N, N, 3)``, as in `LieEDNN`.
-        bias: ``(N, 6)``, twists ordered (omega, v).
-        gamma, mu: decay rate and scale of the interaction, positive.
+        alpha, rotation, translation, bias, gamma, mu: as in `LieEDNN`.
         lyapunov_diagonal: ``(N,)`` p with P = diag(p_i I_3) certifying W_R, or None. Checked by `certificate`.
 
     Raises:
