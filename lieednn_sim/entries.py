@@ -12,7 +12,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -118,21 +118,25 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
     the kind, `find` also takes ``file.py:thing``, and runs that file.
 
     The attribute ``entries`` holds this package's own rows and those that decorators have added; reading it starts no
-    search. If others may add things, ``make(place, takes=...)`` makes the row of a thing and its options, ``wanted``
-    says what a thing must be, and ``group`` is the group of packages' entry points. ``further`` ends messages.
+    search. The places of the given rows begin with ``within``. If others may add things, ``make(place, takes=...)``
+    makes the row of a thing and its options, ``wanted`` says what a thing must be, and ``group`` is the group of
+    packages' entry points. ``further`` ends messages.
     """
 
     def __init__(
         self,
         kind: str,
         entries: dict[str, _Entry],
+        within: str = "",
         *,
         make: Callable[..., _Entry] | None = None,
         wanted: str = "",
         group: str = "",
         further: str = "",
     ) -> None:
-        self.kind, self.entries = kind, entries
+        self.kind = kind
+        placed = {name: replace(row, place=within + row.place) for name, row in entries.items() if within and row.place}
+        self.entries = entries | placed
         self._further = further if make is None else "or one of your own as file.py:name"
         self._make, self._wanted, self._group = make, wanted, group
         self._searched = make is None

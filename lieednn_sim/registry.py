@@ -36,49 +36,42 @@ def optional_module(name: str) -> Any:
 
 
 _PLANNERS = {
-    "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
-    "se3-geodesic": PlannerEntry("planning.baselines.interpolation:se3_geodesic", "compound joints on SE(3) geodesics"),
-    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive"),
-    "rrt-connect": PlannerEntry(
-        "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
-    ),
-    "rrt-star": PlannerEntry("planning.baselines.sampling:rrt_star", "OMPL's RRT*", "RrtStarOptions", "ompl", cost=1.3),
+    "minimum-jerk": PlannerEntry("baselines.interpolation:minimum_jerk", "straight in joint space"),
+    "se3-geodesic": PlannerEntry("baselines.interpolation:se3_geodesic", "compound joints on SE(3) geodesics"),
+    "dmp": PlannerEntry("baselines.interpolation:dmp", "a dynamic movement primitive"),
+    "rrt-connect": PlannerEntry("baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"),
+    "rrt-star": PlannerEntry("baselines.sampling:rrt_star", "OMPL's RRT*", "RrtStarOptions", "ompl", cost=1.3),
     "informed-rrt-star": PlannerEntry(
-        "planning.baselines.sampling:informed_rrt_star", "OMPL's Informed RRT*", "InformedRrtStarOptions", "ompl"
+        "baselines.sampling:informed_rrt_star", "OMPL's Informed RRT*", "InformedRrtStarOptions", "ompl"
     ),
-    "bit-star": PlannerEntry("planning.baselines.sampling:bit_star", "OMPL's BIT*", "BitStarOptions", "ompl"),
-    "aorrtc": PlannerEntry("planning.baselines.sampling:aorrtc", "OMPL's AORRTC", "RrtStarOptions", "ompl"),
-    "mjpl": PlannerEntry("planning.baselines.cbirrt:mjpl", "the bidirectional RRT of mjpl", "PathOptions", "mjpl"),
+    "bit-star": PlannerEntry("baselines.sampling:bit_star", "OMPL's BIT*", "BitStarOptions", "ompl"),
+    "aorrtc": PlannerEntry("baselines.sampling:aorrtc", "OMPL's AORRTC", "RrtStarOptions", "ompl"),
+    "mjpl": PlannerEntry("baselines.cbirrt:mjpl", "the bidirectional RRT of mjpl", "PathOptions", "mjpl"),
     "sscbirrt": PlannerEntry(
-        "planning.baselines.cbirrt:sscbirrt", "the bidirectional RRT of sscbirrt", "PathOptions", "sscbirrt"
+        "baselines.cbirrt:sscbirrt", "the bidirectional RRT of sscbirrt", "PathOptions", "sscbirrt"
     ),
     "trajectory-optimisation": PlannerEntry(
-        "planning.baselines.optimisation:trajectory_optimisation",
-        "a spline of least jerk",
-        "OptimisationOptions",
-        cost=1.6,
+        "baselines.optimisation:trajectory_optimisation", "a spline of least jerk", "OptimisationOptions", cost=1.6
     ),
-    "stomp": PlannerEntry("planning.baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
+    "stomp": PlannerEntry("baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
     "qshnn": PlannerEntry(
-        "planning.baselines.qshnn:qshnn", "the quaternion Hopfield network that the paper starts from", "QshnnOptions"
+        "baselines.qshnn:qshnn", "the quaternion Hopfield network that the paper starts from", "QshnnOptions"
     ),
-    "linear-attractor": PlannerEntry(
-        "planning.network_planners:linear_attractor", "a network without weights", network=True
-    ),
+    "linear-attractor": PlannerEntry("network_planners:linear_attractor", "a network without weights", network=True),
     "lieednn-certified": PlannerEntry(
-        "planning.certified:certified", "a certified network for the target", "CertifiedOptions", network=True
+        "certified:certified", "a certified network for the target", "CertifiedOptions", network=True
     ),
     "lieednn-retargeted": PlannerEntry(
-        "planning.network_planners:retargeted",
+        "network_planners:retargeted",
         "one certified network for all targets, retargeted by its bias",
         "RetargetedOptions",
         network=True,
     ),
     "lieednn-trained": PlannerEntry(
-        "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
+        "network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
     ),
     "lieednn-shaped": PlannerEntry(
-        "planning.shaped:shaped",
+        "shaped:shaped",
         "a certified network along the motion of a guide, around obstacles",
         "ShapedOptions",
         network=True,
@@ -89,72 +82,68 @@ _PLANNERS = {
 PLANNERS = Registry(
     "planner",
     _PLANNERS,
+    "planning.",
     make=partial(PlannerEntry, path_constraints=True),
     wanted="a function of a PlanningProblem",
     group="lieednn_sim.planners",
 )
 
 _POLICIES = {
-    "lieednn-shaped": Entry(
-        "policies.network_policy:shaped", "a certified network along the path of a guide", "ShapedOptions"
-    ),
+    "lieednn-shaped": Entry("network_policy:shaped", "a certified network along the path of a guide", "ShapedOptions"),
     "lieednn-certified": Entry(
-        "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
+        "network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
     ),
     "lieednn-replanning": Entry(
-        "policies.replanning:ReplanningPolicy.of",
+        "replanning:ReplanningPolicy.of",
         "a certified network that replans for new targets and around moving obstacles",
         "ReplanningOptions",
     ),
     "lieednn-chunks": Entry(
-        "policies.chunks:ChunkPolicy.of",
+        "chunks:ChunkPolicy.of",
         "a certified network that follows action chunks of learned policies within the limits",
         "ChunkOptions",
     ),
-    "linear-attractor": Entry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
-    "dmp": Entry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
-    "fabric": Entry("policies.fabric:fabric", "an attractor with repulsive obstacles", "FabricOptions"),
+    "linear-attractor": Entry("network_policy:linear", "the network without weights: straight in se(3)"),
+    "dmp": Entry("planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
+    "fabric": Entry("fabric:fabric", "an attractor with repulsive obstacles", "FabricOptions"),
     "mppi": Entry(
-        "policies.path_integral:path_integral",
+        "path_integral:path_integral",
         "model-predictive path integral control, with a model of its own",
         "PathIntegralOptions",
     ),
-    "tracker": Entry("policies.planned:tracker", "plays a planned motion, without feedback"),
+    "tracker": Entry("planned:tracker", "plays a planned motion, without feedback"),
 }
 #: All policies by name: functions of a `PolicyTask`, and of their options if there are any, that make a `Policy`. After
 #: a reset a policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is "moves", or
 #: "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
-POLICIES = Registry("policy", _POLICIES, make=Entry, wanted="a function of a PolicyTask", group="lieednn_sim.policies")
+POLICIES = Registry(
+    "policy", _POLICIES, "policies.", make=Entry, wanted="a function of a PolicyTask", group="lieednn_sim.policies"
+)
 
 _CONTROLLERS = {
-    "position-servo": Entry(
-        "simulation.controllers.base:PositionServo", "sends positions and velocities to the arm's position servos"
-    ),
+    "position-servo": Entry("base:PositionServo", "sends positions and velocities to the arm's position servos"),
     "inverse-dynamics": Entry(
-        "simulation.controllers.base:InverseDynamicsServo",
-        "adds the forces that the motion needs according to the model",
+        "base:InverseDynamicsServo", "adds the forces that the motion needs according to the model"
     ),
     "computed-torque": Entry(
-        "simulation.controllers.base:ComputedTorque",
-        "feedback from the measured state through the model, instead of servos",
+        "base:ComputedTorque", "feedback from the measured state through the model, instead of servos"
     ),
     "feedback-linearisation": Entry(
-        "simulation.controllers.linearisation:feedback_linearisation",
+        "linearisation:feedback_linearisation",
         "computed torques by the actuators that a model has; the default for views of models",
     ),
     "mocap": Entry(
-        "simulation.controllers.mocap:MocapWelds",
-        "moves the link frames by mocap bodies welded to them; no actuators, hence no noise",
+        "mocap:MocapWelds", "moves the link frames by mocap bodies welded to them; no actuators, hence no noise"
     ),
     "mocap-deadbeat": Entry(
-        "simulation.controllers.mocap:DeadbeatWelds",
-        "mocap with welds that close the error in one step; needs a reference at every time step",
+        "mocap:DeadbeatWelds", "mocap with welds that close the error in one step; needs a reference at every time step"
     ),
 }
 #: All controllers by name: functions or classes that take an arm and a `Reference`.
 CONTROLLERS = Registry(
     "controller",
     _CONTROLLERS,
+    "simulation.controllers.",
     make=Entry,
     wanted="a Controller, or a function that makes one",
     group="lieednn_sim.controllers",
@@ -173,50 +162,52 @@ DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 
 _SCENES = {
     "free": Entry(help="no obstacles"),
-    "window": Entry("arm.scenes:window", "a wall with an opening"),
-    "shelf": Entry("arm.scenes:shelf", "a shelf of two columns and two rows"),
-    "poles": Entry("arm.scenes:poles", "a field of vertical poles"),
+    "window": Entry("window", "a wall with an opening"),
+    "shelf": Entry("shelf", "a shelf of two columns and two rows"),
+    "poles": Entry("poles", "a field of vertical poles"),
 }
 #: Obstacles around an arm, functions of `arm.scenes`. The index of a name is part of the seed of its obstacles.
-SCENES = Registry("scene", _SCENES)
+SCENES = Registry("scene", _SCENES, "arm.scenes:")
 
 _FORMATS = {
     "csv": FormatEntry(
-        "exports.formats:write_csv", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
+        "formats:write_csv", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
     ),
     "ros2": FormatEntry(
-        "exports.ros2:write",
+        "ros2:write",
         "a JointTrajectory as YAML, and a bag in MCAP, for a robot's controller or a replay in ROS 2",
         library="rosbags",
     ),
     "plannerarena": FormatEntry(
-        "exports.planner_arena:write",
+        "planner_arena:write",
         "OMPL's benchmark logs of a comparison, for tools such as Planner Arena",
         of_comparison=True,
     ),
     "lerobot": FormatEntry(
-        "exports.lerobot:write",
+        "lerobot:write",
         "a data set of one episode for each run, to train policies by imitation with LeRobot",
         library="pyarrow",
     ),
     "rerun": FormatEntry(
-        "exports.rerun_recording:write",
+        "rerun_recording:write",
         "a recording of the moving arm and of curves over time, for Rerun's viewer",
         library="rerun",
     ),
 }
 #: File formats of other tools.
-FORMATS = Registry("format", _FORMATS, further="and of a network ONNX and C, by plan.network.to_onnx and to_c")
+FORMATS = Registry(
+    "format", _FORMATS, "exports.", further="and of a network ONNX and C, by plan.network.to_onnx and to_c"
+)
 
 _ALGORITHMS = {
-    "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
-    "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
-    "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
-    "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
-    "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),
+    "literal": Entry("TrainingOptions.literal", "as printed in the paper"),
+    "repaired": Entry("TrainingOptions", "its equations, repaired"),
+    "tracked": Entry("TrainingOptions.tracked", "the same, with the equilibrium tracked"),
+    "riemannian": Entry("RiemannianOptions", "on the manifold of scaled adjoints"),
+    "stability-aware": Entry("RiemannianOptions.stability_aware", "the same, certified all along"),
 }
 #: Algorithms that learn a network for a target: functions of their options' values, which make these options.
-ALGORITHMS = Registry("algorithm", _ALGORITHMS)
+ALGORITHMS = Registry("algorithm", _ALGORITHMS, "learning.options:")
 
 _BIAS_RULES = {
     "uniform": Entry(help="every entry the same, as in the paper"),
@@ -227,13 +218,11 @@ _BIAS_RULES = {
 BIAS_RULES = Registry("bias rule", _BIAS_RULES)
 
 _RIVALS = {
-    "dmp": Entry("learning.demonstrations.primitives:DynamicPrimitive.fit", "a dynamic movement primitive"),
-    "promp": Entry(
-        "learning.demonstrations.primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
-    ),
-    "lpv-ds": Entry("learning.demonstrations.models:StableMixture.fit", "a stable mixture of linear ones"),
-    "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
+    "dmp": Entry("primitives:DynamicPrimitive.fit", "a dynamic movement primitive"),
+    "promp": Entry("primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"),
+    "lpv-ds": Entry("models:StableMixture.fit", "a stable mixture of linear ones"),
+    "linear-attractor": Entry("models:LinearAttractor.fit", "the same rate everywhere"),
 }
 #: Models of demonstrations with which a shaped network is compared: functions of demonstrations and of the number of
 #: parameters to have.
-RIVALS = Registry("rival", _RIVALS)
+RIVALS = Registry("rival", _RIVALS, "learning.demonstrations.")
