@@ -144,7 +144,7 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
             networks = [result.network for result in results if result.network is not None]
         if drawn in (few, total) and networks:
             try:
-                return _plan(problem, options, networks, drawn)
+                return _plan(problem, networks, drawn)
             except PlanError as error:
                 # The straightest network comes first; those that bend more are no faster.
                 if drawn == total or isinstance(error, TooFastError):
@@ -160,18 +160,18 @@ def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: 
     return synthesize_many(np.broadcast_to(xi, (len(magnitudes), *xi.shape)), bias_magnitude=magnitudes, **same)
 
 
-def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
+def _plan(problem: PlanningProblem, networks: list[LieEDNN], drawn: int) -> Plan:
     """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
     result = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
     # Networks and their paths do not depend on the duration, so they are not made again.
-    network, motion = in_time(_best, problem, options, result)
+    network, motion = in_time(_best, problem, result)
     # The chosen network counts in any case, since its motion has been checked.
     within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in result)
     return Plan(motion, network, CertifiedDetails(drawn, within))
 
 
-def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
+def _best(problem: PlanningProblem, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     # If no motion can be fast enough, one refusal suffices. Sampled motions may seem 1 % faster.
     hurried = problem.duration <= 0.99 * least_duration(problem.arm, problem.start, problem.target)
