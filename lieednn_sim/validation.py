@@ -207,10 +207,10 @@ def as_count(name: str, value: int, least: int = 1, most: int = 2**53) -> int:
     return number
 
 
-def as_workers(name: str, value: int) -> int:
-    """Return a number of threads or processes from 1 to 1024, or raise `InputError`."""
-    # More than the cores of any machine, and fewer than a system refuses.
-    return as_count(name, value, most=1024)
+def as_workers(name: str, value: int | None) -> int:
+    """Return a number of threads or processes, by default that of the processors, or raise `InputError`."""
+    # At most more than the processors of any machine, and fewer than a system refuses.
+    return as_count(name, os.cpu_count() or 1 if value is None else value, most=1024)
 
 
 def as_seed(name: str, seed: Seed) -> int:

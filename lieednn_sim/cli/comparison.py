@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -20,7 +19,7 @@ from lieednn_sim.studies.reactions.study import COMPARED, Reactions
 from lieednn_sim.studies.reactions.summary import write_reactions
 from lieednn_sim.studies.report import View, choose_problems, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm
-from lieednn_sim.validation import as_count
+from lieednn_sim.validation import as_count, as_workers
 
 # Files that are written beside the table.
 _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
@@ -56,7 +55,7 @@ def compare(
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
-    workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
+    workers = as_workers("jobs", jobs)
     seeds, problems = as_count("reactive", reactive, least=0), as_count("views", views, least=0)
     if study.shard is not None and (seeds or merge):
         raise InputError("--shard makes only a part of the table; it takes no --reactive or --merge")

@@ -1,7 +1,5 @@
 """Lets signals before and after the work of a command end it at once without a traceback, as other programs do."""
 
-from __future__ import annotations
-
 # The built-in part of `signal`, which itself imports other modules first.
 import _signal as signal  # type: ignore[import-not-found]  # it has no stubs
 import sys

@@ -9,7 +9,6 @@ Gymnasium finds environments of other packages when their module was imported, o
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -165,7 +164,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
+        workers = as_workers("threads", threads)
         self._rollouts, self._model = rollout.Rollout(nthread=workers), self.task.simulation.model
         self._data = [mujoco.MjData(self._model) for _ in range(workers)]
         self._link_frames = LinkFrames(self.task.arm, self._model, self._data[0], self.task.frames)

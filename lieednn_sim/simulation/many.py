@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import field
@@ -105,7 +104,7 @@ def simulate_many(
     settings = {"controller": controller, "disturbances": changes}
     q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}
-    workers = min(as_workers("threads", os.cpu_count() or 1 if threads is None else threads), len(chosen))
+    workers = min(as_workers("threads", threads), len(chosen))
 
     def work(first: int) -> None:
         """Simulate every ``workers``-th motion from ``first`` on with one controller and plant: making them is slow."""
