@@ -47,13 +47,16 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
 
 
 def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
-    """Lock joints whose limits are equal, where MuJoCo would take them for unlimited; say which have none.
+    """Lock joints whose limits are equal, where MuJoCo would take them for unlimited; say which have, or get, none.
 
     `InputError` if a lower limit is above the upper one, or no joint is left.
     """
     locked: list[str] = []
     for name, element in joints.items():
         joint, kind, limit = spec.joint(name), element.get("type"), element.find("limit")
+        if joint is not None and kind == "continuous" and np.any(joint.range):
+            joint.range = 0.0, 0.0  # none; ROS ignores it, MuJoCo would keep it
+            notes.append(f"{name}: continuous, so that its limits in the URDF do not count")
         if joint is None or kind not in ("revolute", "prismatic"):
             continue
         low, high = joint.range
