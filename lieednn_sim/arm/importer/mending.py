@@ -164,6 +164,7 @@ def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Flo
     notes.append(f"{body.name!r}, a free body that carries the arm, is fixed where it is at home")
     # MuJoCo 4 checks the keyframes here, and refuses those that are already without the joint.
     spec.delete(spec.joints[joint])
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_AUTO  # MuJoCo allows others for moving bodies only
     for key, values in zip(spec.keys, keys, strict=True):
         key.qpos, key.qvel = values
     return np.delete(qpos, coordinates)
