@@ -105,11 +105,7 @@ class Collisions:
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """Put obstacles where they are now, and all others back to the scene, in another `Arm.geometry`.
 
-        Args:
-            places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
-
-        Raises:
-            InputError: there is no such body, or a value is malformed.
+        ``places`` and errors are as for `Arm.with_moved_bodies`.
         """
         if self._scene is None:
             if not places:
@@ -123,10 +119,8 @@ class Collisions:
         """Distances and gradients of all pairs closer than ``cutoff`` [m], a scalar or ``(P,)``, at ``q`` ``(n,)``.
 
         The gradient is exact where geoms are apart. In penetration it is taken along MuJoCo's direction of separation,
-        which for capsules in boxes is not always the shortest one.
-
-        Raises:
-            InputError: q is malformed, or the cutoff is not positive.
+        which for capsules in boxes is not always the shortest one. `InputError` if q is malformed, or the cutoff is not
+        positive.
         """
         kinematics_at(self.arm.geometry, self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), self._data)
         limits = as_floats("cutoff", cutoff, (), batched=True)

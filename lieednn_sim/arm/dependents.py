@@ -100,11 +100,8 @@ class Dependents:
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
-        With loops, rows along a path take the least time. If not ``strict``, rows without a solution become NaN.
-
-        Raises:
-            InputError: the shape is wrong.
-            NoSolutionError: the loops cannot be closed there, or not on the branch of the state.
+        With loops, rows along a path take the least time. `InputError` if the shape is wrong, `NoSolutionError` if the
+        loops cannot be closed there, or not on the branch of the state; if not ``strict``, such rows become NaN.
         """
         result = self._checked(qpos).copy()
         self._follow(result)
@@ -135,10 +132,7 @@ class Dependents:
         """B ``(..., nv, m)`` with qvel = B qd for the independent rates qd, at rows ``(..., nq)`` of `to_qpos`.
 
         The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities; those of other joints are zero.
-
-        Raises:
-            InputError: the shape is wrong.
-            NoSolutionError: a row is at a dead centre of a loop.
+        `InputError` if the shape is wrong, `NoSolutionError` if a row is at a dead centre of a loop.
         """
         rows = self._checked(qpos)
         result = self._closed_form_basis(rows)

@@ -129,8 +129,7 @@ def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) 
 def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[int, ...], ...]:
     """The joints between consecutive frames, each group from the base outwards.
 
-    Raises:
-        InputError: the frames are not on one chain, there is no joint between two of them, or a joint is free.
+    `InputError` if the frames are not on one chain, there is no joint between two of them, or a joint is free.
     """
     groups = []
     for inner, outer in itertools.pairwise(frames):

@@ -135,8 +135,7 @@ class PassiveJoints:
     def at_rest(self, qpos: Floats) -> Floats:
         """Positions ``(S, nq)`` with the passive joints at stable rest, by Newton's method on their energy.
 
-        Raises:
-            NoSolutionError: they have no position of rest, like a free slide on a slope.
+        `NoSolutionError` if they have no position of rest, like a free slide on a slope.
         """
         result = np.array(qpos)
         if not len(self.dofs):
@@ -159,11 +158,8 @@ class PassiveJoints:
     def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
         """Free oscillations at a configuration ``(n,)``, slowest first, without overdamped and neutral motions.
 
-        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`.
-
-        Raises:
-            InputError: q is malformed.
-            NoSolutionError: as for `at_rest`.
+        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`. `InputError` if q is
+        malformed, `NoSolutionError` as for `at_rest`.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()

@@ -47,8 +47,7 @@ def given_options(
 ) -> tuple[PlannerOptions, ...]:
     """The options to call ``what`` with: those given, or the defaults of the class ``kind``; none if it is None.
 
-    Raises:
-        InputError: the options given are of another class, or ``what`` has none.
+    `InputError` if the options given are of another class, or ``what`` has none.
     """
     if options is not None and (kind is None or not isinstance(options, kind)):
         allowed = "has no options" if kind is None else f"takes options of class {kind.__name__}"

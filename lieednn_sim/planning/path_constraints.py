@@ -93,8 +93,7 @@ def outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> float:
 def check_path_constraint(arm: Arm, region: TaskSpaceRegion | None, motion: Motion) -> None:
     """Check that the end effector is in a region, up to `KEPT_DISTANCE` and `KEPT_ANGLE`, at every sample of a motion.
 
-    Raises:
-        PlanError: it is not; the message has the largest distance or angle, and its time.
+    `PlanError` if it is not; the message has the largest distance or angle, and its time.
     """
     if region is None:
         return

@@ -170,10 +170,8 @@ class Plan:
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:
     """Call ``make(problem, *options)``; if the motion is too fast, again with the duration that it needs.
 
-    All planners follow this rule, so that a comparison does not depend on the duration asked for.
-
-    Raises:
-        TooFastError: even ``problem.longest`` is not enough.
+    All planners follow this rule, so that a comparison does not depend on the duration asked for. `TooFastError` if
+    even ``problem.longest`` is not enough.
     """
     time_reserve = 1.02  # factor on the duration that the motion needs, which is estimated from samples
     while True:

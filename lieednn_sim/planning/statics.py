@@ -75,12 +75,10 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
     If time is stretched by s, the forces f0 of gravity, springs and dry friction stay the same, f1 of dampers become f1
     / s, and the others f2 / s^2. So a force is below F from s = (f1 + sqrt(f1^2 + 4 (F - f0) f2)) / (2 (F - f0)) on.
+    `TooWeakError` if f0 alone is beyond a limit.
 
     Returns:
         None if all are within their limits; otherwise the duration that keeps them [s], and what does not, in words.
-
-    Raises:
-        TooWeakError: f0 alone is beyond a limit.
     """
     last = len(t) - 1
     looks, changes = np.linspace(0, last, 33).round().astype(int), np.diff(qd, axis=0)

@@ -129,8 +129,7 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
 def _off_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> float:
     """Largest difference of a motion's states and joints from those computed from its network [rad, m].
 
-    Raises:
-        InputError: it is so large that the motion is not the network's path.
+    `InputError` if it is so large that the motion is not the network's path.
     """
     off = np.inf if motion.xi.shape[1] != network.n_visible else _INTEGRATED
     if np.isfinite(off) and motion.tau[-1] > 0.0:
@@ -160,8 +159,7 @@ class _Path:
     def largest(self, sizes: Floats) -> tuple[float, float, tuple[int, int]]:
         """The largest scale of ``sizes`` ``(N, 2)`` [rad, m] without contact, and the instant and geoms that limit it.
 
-        Raises:
-            PlanError: there is none.
+        `PlanError` if there is none.
         """
         last = len(self._motion.t) - 1
         # A first estimate from a few instants, at most 0.1 m; then the projection must be bounded at this size.

@@ -147,10 +147,8 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
 
     An existing file is overwritten, and a failing block leaves it unfinished. Width and height must be even. ffmpeg is
     a child process that always ends, with its pipes closed, when the block does: imageio's own writer and reader leave
-    a stopped one running, and its reader gives up after ten seconds, which a busy machine may need.
-
-    Raises:
-        FileError: the encoder stopped; the message has its first line of output.
+    a stopped one running, and its reader gives up after ten seconds, which a busy machine may need. `FileError` if the
+    encoder stopped; the message has its first line of output.
     """
     width, height = size
     command = ["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]

@@ -30,8 +30,7 @@ _starting = threading.Lock()
 def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
     """A `viser.ViserServer` without its messages, by default at a free port, which checks requests by `refusal`.
 
-    Raises:
-        LieEDNNError: viser is not installed, or the check cannot be put into its server.
+    `LieEDNNError` if viser is not installed, or the check cannot be put into its server.
     """
     viser = optional_module("viser")
     with _asking(host) as asked:

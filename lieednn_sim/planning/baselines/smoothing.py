@@ -54,10 +54,8 @@ def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOp
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Numbers of control points whose curves are blocked at any duration are added to ``blocked``, with the reasons; pass
-    it on to calls with other durations, which then skip these curves.
-
-    Raises:
-        PlanError: not even the polyline itself can be followed in the problem's duration.
+    it on to calls with other durations, which then skip these curves. `PlanError` if not even the polyline itself can
+    be followed in the problem's duration.
     """
     late, refusal = list[tuple[float, str]](), ""
     fastest = options.fastest and len(_measured(corners / joint_scale(problem.arm))[1]) > 0
@@ -92,10 +90,8 @@ def motion_along_first(
     """The motion along the first path that can be followed, in the time that it needs; ``name`` is the planner's.
 
     ``path`` maps the number of an attempt to corners ``(M, n)``, or to None if it fails. Paths do not depend on the
-    duration; ``path`` should cache them, since they are asked for again when the motion needs more time.
-
-    Raises:
-        PlanError: there is no path, or none can be followed.
+    duration; ``path`` should cache them, since they are asked for again when the motion needs more time. `PlanError` if
+    there is no path, or none can be followed.
     """
     blocked = {attempt: Blocked() for attempt in range(attempts)}
 
