@@ -1,4 +1,4 @@
-"""Immutable results that compare equal when their contents are equal.
+"""Immutable results that compare equal when their contents are equal, and measured numbers in words.
 
 Classes with arrays use `frozen`, others ``dataclass(frozen=True)``. Both set fields in their ``__post_init__`` by
 `check_fields` and `set_fields`.
@@ -98,6 +98,18 @@ def read_only(array: Floats) -> Floats:
     """Make an array read-only, and return it."""
     array.setflags(write=False)
     return array
+
+
+def rounded(value: float, least: float = 1e-4) -> str:
+    """A measured number for people: three digits or more, and 0 below ``least``, where only rounding is left."""
+    if abs(value) >= 1000.0:
+        return f"{value:.0f}"
+    return "0" if abs(value) < least else f"{value:.3g}"
+
+
+def distances(translation: float, rotation: float) -> str:
+    """A distance [m] and an angle [rad] in words."""
+    return f"{rounded(1e3 * translation)} mm and {rounded(np.rad2deg(rotation))} degrees"
 
 
 def _as_read_only(item: Any) -> Any:

@@ -33,7 +33,7 @@ from lieednn_sim.environments.tasks import band_limited, make_task
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.policies import ChunkPolicy
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, rounded
 
 CLEAN = ("clean, no delay", "clean", "clean, 0.8 s late")
 FAULTS = (
@@ -195,8 +195,9 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
             continue
         name, policy, delay, way = job
         cells = [f"{name}, {policy}", f"{1e3 * delay:.0f}", way, f"{100.0 * of['success'].mean():.0f}"]
-        cells += [f"{of['touched'].sum():.0f}", f"{of['jump'].max():.3g}", f"{np.median(of['jerk']):.3g}"]
-        cells.append(f"{of['back'].max():.2g} %" if name == "reach" else f"{np.median(of['lag']):.0f} ms")
+        cells += [f"{of['touched'].sum():.0f}", rounded(of["jump"].max()), rounded(float(np.median(of["jerk"])))]
+        back = of["back"].max()  # [%]
+        cells.append(f"{round(back, int(back < 10.0)):g} %" if name == "reach" else f"{np.median(of['lag']):.0f} ms")
         cells.append(f"{of['refused'].sum():.0f}" if way == REFERENCES[-1] else "")
         closed.append([*cells, f"{np.median(of['True']):.2g} / {np.median(of['False']):.2g}"])
     return [

@@ -83,3 +83,11 @@ def test_tables_by_hand():
         "| track, clone | 800 | raw | 75 | 0 | 8 | 5 | 30 ms |  | 2 / 0.1 |",
         "| reach, clone | 200 | lieednn-chunks | 100 | 1 | 2 | 4 | 7 % | 2 | 2 / 0.1 |",
     ]
+
+
+def test_large_numbers_of_the_report_are_written_out():
+    row = {"success": 1.0, "touched": False, "jump": 4402.3, "jerk": 19520.0, "lag": 0.0, "back": 204.3, "refused": 0}
+    rows = [{**row, "True": 0.0074, "False": 0.0054}]
+    small = [{**rows[0], "back": 8.64}]
+    lines = chunks.report({("reach", "expert", 0.0, "raw"): rows, ("reach", "expert", 0.2, "raw"): small})
+    assert [line.split(" | ")[5:8] for line in lines[-2:]] == [["4402", "19520", "204 %"], ["4402", "19520", "8.6 %"]]

@@ -48,7 +48,9 @@ def joints_of(model: mujoco.MjModel, body: int) -> list[int]:
 def check_numbers(model: mujoco.MjModel) -> None:
     """Raise `InputError` where a model holds NaN, which MuJoCo silently reads, or an actuator with several controls."""
     for k in np.flatnonzero(model.actuator_ctrlnum != 1).tolist():
-        raise InputError(f"actuator {model.actuator(k).name or k!r} needs a single control, as <position> has")
+        name, controls = model.actuator(k).name or f"number {k}", int(model.actuator_ctrlnum[k])
+        rule = "only those with one are known: put a <position> or <motor> in its place"
+        raise InputError(f"actuator {name!r} has {controls} controls; {rule}")
     for field in _NUMBERS:
         values = np.asarray(getattr(model, field))
         bad = np.flatnonzero(np.isnan(values).any(axis=tuple(range(1, values.ndim))))

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import SCALAR
+from lieednn_sim.arm.checks import FREE, SCALAR
 from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses, names, position_addresses, turns
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
@@ -22,6 +22,7 @@ SINGULAR = 1e-5
 LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
 # Grid of configurations from which others are reached [rad; fraction of the model's extent], and how many are kept.
 GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
+_DEACTIVATE = 'deactivate the equality: active="false" in a file, or data.eq_active'
 
 
 class _Solution(NamedTuple):
@@ -133,8 +134,7 @@ class ClosedLoops:
             leave = f"leave {excess} of them out of the independent joints, or " if 0 < excess < left.shape[1] else ""
             raise InputError(
                 f"joints {names(self._model, tied)} cannot move independently, because of "
-                f'{self._residuals.owners(large.any(axis=1))}; {leave}deactivate the equality: active="false" in a '
-                "file, or data.eq_active"
+                f"{self._residuals.owners(large.any(axis=1))}; {leave}{_DEACTIVATE}"
             )
 
     def _stuck(self, rates: Floats) -> bool:
@@ -256,9 +256,11 @@ class ClosedLoops:
             triangle, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
             chosen = [scalars[k] for k, left in zip(order, np.diag(triangle), strict=False) if abs(left) > 1e-6]
             more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
+            ties = np.abs(self._reference.jacobian[:, dof_addresses(model, loose)]).max(axis=1) > 1e-6
+            held = ", a body in the hand by a weld in place of a connect" if FREE in model.jnt_type[loose] else ""
             raise InputError(
-                f"joints {names(model, loose)} are moved by the arm's loops but not determined by its independent "
-                f"joints; {more}hold them by another equality"
+                f"joints {names(model, loose)} are moved by the arm through {self._residuals.owners(ties)}, but not "
+                f"determined by its independent joints; {more}hold them by another equality{held}, or {_DEACTIVATE}"
             )
         if len(free):
             raise NoSolutionError(

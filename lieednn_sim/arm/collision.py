@@ -101,11 +101,7 @@ class Collisions:
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """Put obstacles where they are now, and all others back to the scene, in another `Arm.geometry`.
 
-        Args:
-            places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
-
-        Raises:
-            InputError: there is no such body, or a value is malformed.
+        ``places`` and errors are as for `Arm.with_moved_bodies`.
         """
         if self._scene is None:
             if not places:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import scipy
@@ -22,7 +23,7 @@ from lieednn_sim.arm.equalities import (
     names,
 )
 from lieednn_sim.errors import InputError
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, weakly_cached
 
 _PATH = 100  # number of rows from which on they count as a path
 
@@ -75,10 +76,6 @@ class Dependents:
         self.moved = tuple(sorted(led | looped))
         self.lines, self.sums = _lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
-        # The last rows asked for, and their solution: limits and contacts are tested one after another, along a path in
-        # another order, and with a few other rows among them.
-        self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
-        self._path = dict[bytes, Floats]()
         if equalities:
             qpos = np.array(data.qpos)
             moving = {roots[joint] for e in equalities for joint in involved_joints(model, e) & roots.keys()} - {None}
@@ -89,35 +86,46 @@ class Dependents:
             self._find_lines(qpos, sorted(looped))
         self.has_loops = self._loops is not None
 
+    @property
+    @weakly_cached
+    def _asked(self) -> SimpleNamespace:
+        """The last rows that this thread asked for, and their solution, and those of its last path by their bytes.
+
+        Limits and contacts are tested one after another, along a path in another order, with a few other rows among
+        them. The last digits of a row's solution depend on the rows before it.
+        """
+        nothing = np.zeros((0, self._model.nq))
+        return SimpleNamespace(last=(nothing, nothing), path=dict[bytes, Floats]())
+
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
-        With loops, rows along a path take the least time. If not ``strict``, rows without a solution become NaN.
-        `NoSolutionError` if the loops cannot be closed there, or not on the branch of the state.
+        With loops, rows along a path take the least time. `NoSolutionError` if the loops cannot be closed there, or not
+        on the branch of the state; if not ``strict``, such rows become NaN.
         """
         result = self._checked(qpos).copy()
         self._follow(result)
         if self._loops is None:
             return result
-        rows = result.reshape(-1, self._model.nq)
-        if not np.array_equal(rows, self._last[0]):
+        rows, known = result.reshape(-1, self._model.nq), self._asked
+        if not np.array_equal(rows, known.last[0]):
             asked, keys = rows.copy(), [row.tobytes() for row in rows] if len(rows) > _PATH else []
-            new = [k for k, key in enumerate(keys) if key not in self._path]
+            new = [k for k, key in enumerate(keys) if key not in known.path]
             if keys and 2 * len(new) < len(keys):
                 some = asked[new]
                 self._loops.solve(some)
-                known = {**self._path, **{keys[k]: row for k, row in zip(new, some, strict=True)}}
-                rows[:] = [known[key] for key in keys]
+                path = {**known.path, **{keys[k]: row for k, row in zip(new, some, strict=True)}}
+                rows[:] = [path[key] for key in keys]
             else:
                 self._loops.solve(rows)
                 if keys:
-                    self._path = dict(zip(keys, rows.copy(), strict=True))
-            self._last = asked, rows.copy()
-        rows[:] = self._last[1]
+                    known.path = dict(zip(keys, rows.copy(), strict=True))
+            known.last = asked, rows.copy()
+        rows[:] = known.last[1]
         missing = np.isnan(rows).any(axis=1)
         if strict and missing.any():
             first = int(missing.argmax())
-            raise self._loops.failure(first, self._last[0][first])
+            raise self._loops.failure(first, known.last[0][first])
         return result
 
     def basis(self, qpos: Floats) -> Floats:

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.checks import FREE, ancestry, joints_of
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats, weakly_cached
 
@@ -167,8 +167,14 @@ def equality_name(model: mujoco.MjModel, equality: int) -> str:
 
 
 def names(model: mujoco.MjModel, joints: Iterable[int]) -> str:
-    """Names of joints in messages."""
-    return ", ".join(repr(model.joint(j).name) if model.joint(j).name else f"joint number {j}" for j in sorted(joints))
+    """Names of joints in messages, with the body of a joint that is free or has no name."""
+
+    def named(joint: int) -> str:
+        name, body = model.joint(joint).name, model.body(model.jnt_bodyid[joint]).name
+        told = repr(name) if name else f"number {joint}"
+        return told if name and model.jnt_type[joint] != FREE else f"{told} of body {body!r}"
+
+    return ", ".join(map(named, sorted(joints)))
 
 
 def dof_addresses(model: mujoco.MjModel, joints: Iterable[int]) -> Indices:

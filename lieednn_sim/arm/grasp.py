@@ -46,12 +46,8 @@ def find_grasp(
 ) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
-    The held body may touch whatever is nearer than the clearance [m] now, and the bodies named in ``touching``, such as
-    the place where it is put, but not sink deeper into them. It may also touch what carries it, and other parts of the
-    arm that are that near now. It must be near the hand, unless it is ``tied`` to it.
-
-    Raises:
-        InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
+    Arguments and errors are as for `ModelArm.holding`. Other parts of the arm that are nearer than the clearance [m]
+    now may be touched, too.
     """
     model, tip = arm.model, arm.frames[-1:]
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}

@@ -20,7 +20,7 @@ from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.grasp import Grasp, find_grasp
 from lieednn_sim.arm.limits import Stops
 from lieednn_sim.arm.serial_arm import SerialArm
-from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
+from lieednn_sim.arm.surroundings import home_data, keep_awake, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie.se3 import rotations
@@ -87,6 +87,7 @@ class ModelArm(SerialArm):
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
         arm = cls(model=own, named=named, made=made, **view.fields, **more)
+        keep_awake(own, arm.dofs, arm.spec)
         return arm if view.held is None else arm.holding(view.held, tied=True)
 
     def data(self) -> mujoco.MjData:

@@ -158,10 +158,8 @@ class PassiveJoints:
     def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
         """Free oscillations at a configuration ``(n,)``, slowest first, without overdamped and neutral motions.
 
-        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`.
-
-        Raises:
-            NoSolutionError: as for `at_rest`.
+        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`. `NoSolutionError` as for
+        `at_rest`.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()

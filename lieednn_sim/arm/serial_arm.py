@@ -18,7 +18,7 @@ from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.validation import as_count, as_floats, quoted
-from lieednn_sim.values import Floats, read_only
+from lieednn_sim.values import Floats, read_only, rounded
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -187,7 +187,8 @@ class SerialArm:
 
     def amount(self, joint: int, value: float) -> str:
         """The size of a change of a coordinate [rad, m], in words."""
-        return f"{1e3 * abs(value):.3g} mm" if self.unit(joint) == "m" else f"{np.rad2deg(abs(value)):.3g} degrees"
+        metres = self.unit(joint) == "m"
+        return f"{rounded(abs(1e3 * value if metres else np.rad2deg(value)))} {'mm' if metres else 'degrees'}"
 
     def coordinates(self, qpos: ArrayLike) -> Floats:
         """Joint coordinates ``(..., n)`` of MuJoCo's generalised positions ``(..., nq)``."""

@@ -44,6 +44,21 @@ def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
     return own
 
 
+def keep_awake(model: mujoco.MjModel, dofs: NDArray[np.int_], spec: mujoco.MjSpec | None) -> None:
+    """Keep what some dofs move from sleeping, in a model and its spec; what sleeps ignores controls and contacts."""
+    if not model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
+        return
+    following, trees = mujoco.MjData(model).tree_asleep, np.unique(model.dof_treeid[dofs]).tolist()
+    for tree in trees:
+        # Trees that begin asleep in contact with each other form a cycle; a negative number is awake.
+        if following[tree] >= 0 and following[tree] not in trees:
+            trees.append(int(following[tree]))
+    model.tree_sleep_policy[trees] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+    if spec is not None:
+        for body in model.tree_bodyadr[trees].tolist():
+            spec.bodies[body].sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+
+
 def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
     """The whole state of ``data``, controls and applied forces included, at time 0, as ``mjSTATE_INTEGRATION``."""
     kind = mujoco.mjtState.mjSTATE_INTEGRATION

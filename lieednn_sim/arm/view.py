@@ -48,13 +48,9 @@ def read_view(
     limits: Mapping[str, Mapping[str, float]] | None = None,
     name: str = "arm",
 ) -> View:
-    """Read some joints of a model as an arm, by their names or those of their links; arguments are as for `Arm.of`.
+    """Read some joints of a model as an arm, by their names or those of their links.
 
-    ``name`` is the arm's name in messages.
-
-    Raises:
-        InputError: the joints do not form an arm, or a name is unknown.
-        NoSolutionError: the state is not near a solution of the equalities, or at a dead centre.
+    Arguments and errors are as for `Arm.of`; ``name`` is the arm's name in messages.
     """
     if (joints is None) == (links is None) or (links is not None and tip is not None):
         raise InputError(

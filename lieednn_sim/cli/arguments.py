@@ -139,7 +139,7 @@ class Planning(Goal):
             or where three hinges move a link).
         option: an option of the planner; --planner NAME --help lists them.
         path_constraint: line or orientation: keep the end effector on a straight line, or at its orientation.
-        fastest: follow the planned path as fast as the arm's limits allow.
+        fastest: follow the planned path as fast as the arm's limits allow; no --duration is needed.
         settle: time law on the same path after which hanging loads and bending stages hardly swing: least-energy, zv,
             zvd or ei.
         learned: directory of 'learn' with a motion that the end effector repeats, in the duration of the recordings;

@@ -16,10 +16,10 @@ from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.console import console, print_import_report
 from lieednn_sim.cli.kinds import Joints
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.display import rounded, table
+from lieednn_sim.evaluation.display import table
 from lieednn_sim.live.page import view as show
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, rounded
 
 
 def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, "*"]) -> None:

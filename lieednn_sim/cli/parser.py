@@ -47,9 +47,7 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     """A call of a command's function with the arguments in the words; all others have the function's defaults.
 
-    Raises:
-        InputError: the words are wrong.
-        SystemExit: the help is printed; nothing is imported for it.
+    `InputError` if the words are wrong, `SystemExit` once the help is printed; nothing is imported for it.
     """
     taken = parameters(source)
     parser = make_parser(source)

@@ -16,7 +16,6 @@ from lieednn_sim.cli.console import console, print_import_report, print_stabilit
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.learning.demonstrations import LearnedMotion
 from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_learned
 from lieednn_sim.planning import plan as plan_motion
@@ -25,6 +24,7 @@ from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.problem import USUAL_DURATION
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.registry import PLANNERS
+from lieednn_sim.values import rounded
 
 
 def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "results/run", verbose: bool = False) -> None:

@@ -23,7 +23,7 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.planning.statics import TooWeakError, check_held
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, distances, rounded
 
 # Least fraction of a joint's error that a cause must explain to be reported.
 _LEAST_EXPLAINED = 0.25
@@ -52,7 +52,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     carried, lines = arm.link_poses(rollout.q[-1]).inv() * rollout.link_poses()[-1], list[str]()
     off = np.linalg.norm(carried.translation, axis=-1).max(), float(carried.rotation.magnitude().max())
     if off[0] > SETTLED_TRANSLATION or off[1] > SETTLED_ROTATION:
-        far = f"a link ends {1e3 * off[0]:.3g} mm and {np.rad2deg(off[1]):.3g} degrees from where the joints have it"
+        far = f"a link ends {distances(*off)} from where the joints have it"
         lines = [f"{far}: what carries the arm has moved, or an equality of the model gives way"]
     ranked = np.argsort(-matters, kind="stable")[: max(1 - len(lines), int((matters > 1.0).sum()))]
     slower = "a longer duration"
@@ -65,7 +65,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     result, helpful = _reasons(rollout, error, slower)
     lines += [
         f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
-        f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
+        f"{distances(distance[j], angle[j])}: "
         + ("; ".join(result[j]) or "no contact, range, friction, load or force limit of the model explains it")
         for j in map(int, ranked)
     ]
@@ -114,7 +114,7 @@ def _reasons(rollout: Rollout, error: Floats, slower: str) -> tuple[list[list[st
             reasons[j].append(f"its load is {load[j]:.3g} {unit}, its force limit {limits[j]:.3g}")
             helpful[j].append("another target")
         elif full[:, j].any():
-            share, first = f"{100 * full[:, j].mean():.2g} %", rollout.t[full[:, j].argmax()]
+            share, first = f"{rounded(100.0 * full[:, j].mean())} %", rollout.t[full[:, j].argmax()]
             reached = f"is reached in {share} of the time, first at t = {first:.2f} s"
             reasons[j].append(f"its force limit of {limits[j]:.3g} {unit} {reached}")
             helpful[j].append(slower)

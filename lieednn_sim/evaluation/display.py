@@ -1,4 +1,4 @@
-"""Tables for the terminal and in Markdown, and numbers in them."""
+"""Tables for the terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -16,13 +16,6 @@ def table(title: str, *columns: str) -> Table:
     for index, column in enumerate(columns):
         result.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
     return result
-
-
-def rounded(value: float, least: float = 1e-4) -> str:
-    """A measured number for people: three digits or more, and 0 below ``least``, where only rounding is left."""
-    if abs(value) >= 1000.0:
-        return f"{value:.0f}"
-    return "0" if abs(value) < least else f"{value:.3g}"
 
 
 def as_text(shown: RenderableType) -> str:

@@ -9,10 +9,10 @@ from rich.console import Group
 from rich.table import Table
 
 from lieednn_sim import io
-from lieednn_sim.evaluation.display import as_text, rounded, table
+from lieednn_sim.evaluation.display import as_text, table
 from lieednn_sim.evaluation.load import LoadMetrics
 from lieednn_sim.simulation import Disturbances
-from lieednn_sim.values import StrPath, set_fields
+from lieednn_sim.values import StrPath, rounded, set_fields
 from lieednn_sim.versions import versions
 
 # A frame has settled if it stays this close to its target [m, rad].
@@ -206,10 +206,11 @@ class Evaluation:
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
         if self.slip_mm > _LOST:
-            return f"hold: what the hand should hold moves by {self.slip_mm:.3g} mm in it"
+            return f"hold: what the hand should hold moves by {rounded(self.slip_mm)} mm in it"
         for frame in self.frames:
             if not frame.arrived:
-                return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
+                off = f"{rounded(frame.final_mm, 1e-3)} mm and {rounded(frame.final_deg, 1e-3)} deg off"
+                return f"arrival: {frame.name} ends {off}"
         return ""
 
     @property
@@ -247,7 +248,7 @@ class Evaluation:
         if self.load:
             lines.append(f"after the motion: {self.load}")
         if self.causes:
-            lines.append(f"final error {self.final_worst_mm:.3g} mm and {self.final_worst_deg:.3g} degrees:")
+            lines.append(f"final error {rounded(self.final_worst_mm)} mm and {rounded(self.final_worst_deg)} degrees:")
         return lines + [f"- {cause}" for cause in self.causes]
 
     def save_json(self, path: StrPath) -> None:

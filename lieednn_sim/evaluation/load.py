@@ -12,6 +12,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.simulation import Rollout
+from lieednn_sim.values import rounded
 
 _SETTLED = np.deg2rad(1.0), 5e-3  # swing [rad] and bending [m]
 
@@ -42,7 +43,8 @@ class LoadMetrics:
         if self.clearance_mm is not None:
             load, other = self.nearest
             near = f"; {load!r}, which hangs, stays {self.clearance_mm:.0f} mm from {other!r} ({self.nearest_s:.2f} s)"
-        return f"swings by {self.swing_deg:.3g} degrees and bends by {self.bending_mm:.3g} mm, {settled}{near}"
+        swing, bending = rounded(self.swing_deg), rounded(self.bending_mm)
+        return f"swings by {swing} degrees and bends by {bending} mm, {settled}{near}"
 
 
 def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | None:

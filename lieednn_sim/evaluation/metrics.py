@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.diagnosis import error_causes
-from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import (
     SETTLED_ROTATION,
     SETTLED_TRANSLATION,
@@ -29,7 +28,7 @@ from lieednn_sim.planning.statics import exerted_use, force_use
 from lieednn_sim.simulation import Following, Rollout
 from lieednn_sim.simulation.rollout import SLIP
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, rounded
 
 # Fraction by which a simulated rate may exceed its limit, for the ripple of the control loop.
 RATE_TOLERANCE = 1e-3

@@ -14,7 +14,6 @@ from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import moving_geoms
-from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.live.engine import Tick, certificate_of, network_policy
@@ -22,7 +21,7 @@ from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.rendering.viewpoint import viewpoint
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, distances, rounded
 
 # Colour of a target that the arm cannot reach, and of the arrow of a force [RGB].
 _RED = (222, 45, 38)
@@ -202,14 +201,14 @@ def status(snapshot: Snapshot) -> str:
     rows = [
         ("policy", escape(tick.policy or "waits for a policy")),
         ("proof", _proof(snapshot)),
-        ("to the target", f"{_millimetres(snapshot.distance)}, {_degrees(snapshot.angle)}"),
+        ("to the target", distances(snapshot.distance, snapshot.angle)),
     ]
     if progress is not None:
         bound = f" &le; {progress.bound:.3g} proved" if np.isfinite(progress.bound) else ", no bound proved"
         # Smaller distances are rounding errors.
         rows += [("of the network", "below 1e-9" if progress.distance < 1e-9 else f"{progress.distance:.3g}{bound}")]
     if snapshot.gap is not None:
-        rows += [("mechanism gap", f"{_millimetres(snapshot.gap[1])}, {_degrees(snapshot.gap[0])}")]
+        rows += [("mechanism gap", distances(snapshot.gap[1], snapshot.gap[0]))]
     nearest = " and ".join(escape(name) for name in snapshot.nearest)
     clearance = f"{_millimetres(snapshot.clearance)}<br>{nearest}" if any(snapshot.nearest) else "more than 600 mm"
     pace = f"{tick.time:.1f} s, {session.achieved:.2f} times real time"
@@ -239,7 +238,3 @@ def _proof(snapshot: Snapshot) -> str:
 
 def _millimetres(value: float) -> str:
     return f"{rounded(1e3 * value)} mm" if abs(value) >= 1e-6 else "below 1 µm"
-
-
-def _degrees(value: float) -> str:
-    return f"{np.rad2deg(value):.2g}°" if value > 1e-4 else "0°"

@@ -27,7 +27,7 @@ from lieednn_sim.planning.shaped import ShapedOptions, followed_guide
 from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import recorded_law, retime
 from lieednn_sim.validation import Seed, as_floats, as_seed
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, distances
 
 #: The planner's name in `Plan.guide` for a learned motion.
 LEARNED = "learned motion"
@@ -122,7 +122,7 @@ def _followed(arm: Arm, start: Floats, regions: list[TaskSpaceRegion]) -> Floats
             limits = ", ".join(repr(name) for name, at in zip(arm.joint_names, near, strict=True) if at)
             raise PlanError(
                 f"at {100 * k / (len(regions) - 1):.0f} % of the way the end effector cannot come nearer than "
-                f"{1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees to it"
+                f"{distances(float(distance), float(angle))} to it"
                 + (f", with {limits} at the limit" if limits else "")
             )
         path.append(q)

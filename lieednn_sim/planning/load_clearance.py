@@ -49,9 +49,8 @@ def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Cleara
 def check_load(arm: Arm, motion: Motion) -> None:
     """Check that a hanging load keeps the arm's clearance; arguments are as for `load_clearance`.
 
-    Raises:
-        TooFastError: it comes too near as it swings; in a slower motion it swings less.
-        PlanError: it comes too near even if it hangs at rest. Both messages name the two parts and the time.
+    `TooFastError` if it comes too near as it swings, which it does less in a slower motion; `PlanError` if it does even
+    if it hangs at rest. Both messages name the two parts and the time.
     """
     for swinging in (True, False):
         found = load_clearance(arm, motion, swinging=swinging)

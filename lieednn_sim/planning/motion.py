@@ -14,7 +14,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import Cubics, check_clearance
 from lieednn_sim.planning.statics import check_forces
 from lieednn_sim.validation import as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, StrPath, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen, rounded
 
 LIMIT_TOLERANCE = 1e-6  # how far positions may exceed a limit [rad, m]: a target on it is reached up to the residual
 JUMP = 0.02  # largest part of a step between samples that the velocities do not explain [rad, m]
@@ -61,7 +61,7 @@ class Motion:
     def __repr__(self) -> str:
         return (
             f"<Motion: {len(self.t)} samples in {self.t[-1]:g} s, {self.q.shape[1]} joints, {self.xi.shape[1]} links, "
-            f"mechanism gap up to {1e3 * self.gap_translation.max():.3g} mm>"
+            f"mechanism gap up to {rounded(1e3 * self.gap_translation.max())} mm>"
         )
 
     @property

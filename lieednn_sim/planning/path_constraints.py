@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import PlanError
 from lieednn_sim.lie.se3 import transforms
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, distances
 
 # How far a motion may be outside its region [m, rad], as `TaskSpaceRegion.distance` measures it.
 KEPT_DISTANCE, KEPT_ANGLE = 5e-4, np.deg2rad(0.1)
@@ -101,8 +101,8 @@ def check_path_constraint(arm: Arm, region: TaskSpaceRegion | None, motion: Moti
     k = int(np.maximum(distance / KEPT_DISTANCE, angle / KEPT_ANGLE).argmax())
     if distance[k] > KEPT_DISTANCE or angle[k] > KEPT_ANGLE:
         raise PlanError(
-            f"the end effector would be {_words(distance[k], angle[k])} outside the region to keep at "
-            f"t = {motion.t[k]:.2f} s; allowed are {_words(KEPT_DISTANCE, KEPT_ANGLE)}"
+            f"the end effector would be {distances(distance[k], angle[k])} outside the region to keep at "
+            f"t = {motion.t[k]:.2f} s; allowed are {distances(KEPT_DISTANCE, KEPT_ANGLE)}"
         )
 
 
@@ -112,8 +112,4 @@ def end_outside(arm: Arm, region: TaskSpaceRegion | None, q: Floats) -> str | No
         return None
     distance, angle = region.distance(arm.link_poses(q)[-1])
     # Start and target lie in it up to the accuracy of inverse kinematics [m, rad].
-    return None if max(distance, angle) <= 1e-4 else _words(float(distance), float(angle))
-
-
-def _words(distance: float, angle: float) -> str:
-    return f"{1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees"
+    return None if max(distance, angle) <= 1e-4 else distances(float(distance), float(angle))

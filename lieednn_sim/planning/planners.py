@@ -147,7 +147,8 @@ def plan(
             three times as long. Learned networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
-        fastest: retime the planned path to the arm's limits (`retime`); the duration is then that of planning alone.
+        fastest: retime the planned path to the arm's limits (`retime`). ``duration`` is then that of the motion
+            before it is retimed, which is refused if the arm is too slow for it; so leave it out for slow arms.
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed. Only some planners can keep one.
         payload: mass at the end effector [kg]; the plan's arm has it, too (`Arm.with_payload`). With or without a

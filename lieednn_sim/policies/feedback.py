@@ -21,7 +21,7 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
-from lieednn_sim.values import Floats, check_fields
+from lieednn_sim.values import Floats, check_fields, rounded
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class FeedbackPolicy(Policy):
         slowed = f"moves at {100 * self.pace:.2g} % of its speed"
         if self._limited:
             return f"{slowed}, within the joints' limits"
-        return f"{slowed}, waiting for a joint {100 * self.behind:.2g} % of its range away"
+        return f"{slowed}, waiting for a joint {rounded(100 * self.behind)} % of its range away"
 
     def channels(self) -> Floats:
         """See `Policy`."""

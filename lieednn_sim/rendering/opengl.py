@@ -141,9 +141,8 @@ def configure() -> Backend:
 def require() -> Backend:
     """The OpenGL backend in use, which is known to render.
 
-    Raises:
-        RenderingUnavailableError: the chosen backend cannot render; the message says what to install or unset; or
-            the process was forked after EGL had been used.
+    `RenderingUnavailableError` if the chosen backend cannot render; the message says what to install or unset; or if
+    the process was forked after EGL had been used.
     """
     if any(display is not None for display in _handed_down):
         raise RenderingUnavailableError("cannot render, since EGL was used before a fork: start processes by 'spawn'")

@@ -10,6 +10,7 @@ import numpy as np
 from lieednn_sim._mujoco import geom_colours, kinematics_along, kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.importer.floor import GREY
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.rendering.viewpoint import around, free_side
@@ -154,6 +155,7 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
         sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
         look = {"rgb1": [0.26, 0.44, 0.68], "rgb2": [0.90, 0.93, 0.95], "width": 256, "height": 1536}
         spec.add_texture(name=unused("sky", names), **sky, **look)
+    _lay_squares(spec, unused("squares", names))
     name = "target" if marked else unused("target", names)
     # Colours of the target marker: the ball, and the axes in it.
     glass = (0.08, 0.75, 0.70, 0.35)
@@ -171,6 +173,18 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     result = spec.compile()
     _tone_links(result, int(arm.frames.bodies[-1]))
     return result, int(result.body_mocapid[result.body(name).id])
+
+
+def _lay_squares(spec: mujoco.MjSpec, name: str) -> None:
+    """Give floors that the importer has added squares of half a metre, as the package's own floors have."""
+    look = {"rgb1": [0.60, 0.60, 0.585], "rgb2": [0.555, 0.555, 0.545], "markrgb": [0.69, 0.69, 0.68], "width": 512}
+    kind = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_CHECKER, "mark": mujoco.mjtMark.mjMARK_EDGE, "height": 512}
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, **kind, **look)
+    material = spec.add_material(name=name, texuniform=True, specular=0.1, shininess=0.2)
+    material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
+    for geom in spec.geoms:
+        if geom.type == _PLANE and np.allclose(geom.rgba, GREY):
+            geom.material, geom.rgba = name, (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, which takes the material's
 
 
 def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.lie.se3 import rotations
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
@@ -38,8 +39,8 @@ class Shapes:
         mujoco.mj_tendon(model, data)
         self.model = model
         self.shapes: list[Shape] = []
-        # Ids of planes, which are infinite floors, and of tendons by their colour and radius [m].
-        self.floors: list[int] = []
+        # Poses of planes, which are infinite floors, by their ids, and ids of tendons by their colour and radius [m].
+        self.floors: dict[int, dict[str, Floats]] = {}
         self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
         # As MuJoCo would render them, with colours resolved from materials.
@@ -56,7 +57,8 @@ class Shapes:
                 if number not in alike:
                     alike.append(number)
             elif geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-                self.floors.append(number)
+                turn = rotations(data.geom_xmat[number].reshape(3, 3)).as_quat(scalar_first=True)
+                self.floors[number] = {"position": data.geom_xpos[number].copy(), "wxyz": turn}
             else:
                 texture = conversions.get_geom_texture_id(model, number)
                 look = int(model.geom_bodyid[number]), colour if texture < 0 else None, texture
@@ -138,8 +140,7 @@ def add_floor(scene: Any, shapes: Shapes) -> None:
     # Visible on a white and on a dark background.
     line = {"size": 0.5, "color": (158, 162, 168), "thickness": 0.6}
     lines = {f"{which}_{what}": value for which in ("cell", "section") for what, value in line.items()}
-    for geom in shapes.floors:
-        pose = {"position": shapes.model.geom_pos[geom], "wxyz": shapes.model.geom_quat[geom]}
+    for geom, pose in shapes.floors.items():
         scene.add_grid(f"/floor/{geom}", infinite_grid=True, fade_distance=25.0, shadow_opacity=0.3, **lines, **pose)
 
 

@@ -177,11 +177,9 @@ def make_plant(
     """A model to simulate; neither the arm's model nor its spec is changed.
 
     Only disturbances that change the arm itself are used; gravity compensation stays that of the undisturbed arm.
-    ``add_bodies`` is called with a copy of the arm's spec, to add bodies after the arm's.
-
-    Raises:
-        InputError: bodies are to be added to a view of a compiled model, or a payload to a body of one that MuJoCo
-            compensates for gravity, at its centre of mass.
+    ``add_bodies`` is called with a copy of the arm's spec, to add bodies after the arm's. `InputError` if bodies are to
+    be added to a view of a compiled model, or a payload to a body of one that MuJoCo compensates for gravity, at its
+    centre of mass.
     """
     changes = Disturbances() if disturbances is None else disturbances
     view = arm.spec is None

@@ -130,6 +130,7 @@ def test_a_film_shows_that_floor_or_none(write):
         model, _ = scene_setup.staged(arm, scene_setup.reached(arm))
         planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         assert model.body_pos[model.geom_bodyid[planes], 2].tolist() == heights
+        assert (model.mat_texid[model.geom_matid[planes], mujoco.mjtTextureRole.mjTEXROLE_RGB] >= 0).all(), "squares"
 
 
 def test_the_default_planner_goes_around_what_stands_beside_an_imported_arm(write):

@@ -447,11 +447,18 @@ def test_models_with_delays_activations_or_sleep_are_imported(servos):
         np.testing.assert_allclose(arm.model.key("posed").qpos, [0.1, 0.2, 0.3])
 
 
+def test_a_base_that_is_fixed_may_have_been_asleep():
+    """MuJoCo compiles a policy of sleep for moving bodies only."""
+    asleep = BY_EQUALITY.replace("<worldbody>", '<option><flag sleep="enable"/></option><worldbody>', 1)
+    asleep = asleep.replace('name="cart"', 'name="cart" sleep="init"')
+    assert "'cart', a free body that carries the arm, is fixed where it is at home" in str(arm_of(asleep)[1])
+
+
 def test_actuators_with_several_controls_are_refused_by_name():
     xml = HINGES.format(options="").replace("</mujoco>", '<actuator><pid name="turn" joint="a"/></actuator></mujoco>')
     model = mujoco.MjModel.from_xml_string(xml)
     for make in (lambda: Arm.from_spec(spec_of(xml)), lambda: Arm.of(model, mujoco.MjData(model), ["a", "b", "c"])):
-        with pytest.raises(InputError, match="actuator 'turn' needs a single control, as <position> has"):
+        with pytest.raises(InputError, match=r"actuator 'turn' has 2 controls; .* put a <position> or <motor> in its"):
             make()
 
 

@@ -379,6 +379,21 @@ def test_a_limit_that_an_urdf_leaves_out_is_zero(limit, span, tmp_path):
     np.testing.assert_allclose(Arm.load(path).position_limits[1], span)
 
 
+def test_a_continuous_joint_of_an_urdf_has_no_limits_even_where_the_file_gives_some(tmp_path):
+    """ROS ignores them, MuJoCo does not; ends the wrong way round are no mistake either."""
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF)
+    without = Arm.load(path)
+    for limits in ('lower="-1" upper="1"', 'lower="1" upper="-1"'):
+        path.write_text(URDF.replace(TURN.format("continuous", ""), TURN.format("continuous", f"<limit {limits}/>")))
+        arm = Arm.load(path)
+        np.testing.assert_array_equal(arm.position_limits, without.position_limits)
+        np.testing.assert_array_equal(arm.continuous, without.continuous)
+        assert arm.continuous[0]
+        assert not arm.model.joint("turn").limited
+        assert "turn: continuous, so that its limits in the URDF do not count" in arm.import_report.notes
+
+
 def test_quaternions_of_an_urdf_which_mujoco_ignores_are_refused(tmp_path):
     path = tmp_path / "derrick.urdf"
     path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz=".3 0 .4" quat_xyzw="0 0 1 0"'))

@@ -23,3 +23,19 @@ def test_an_arm_says_the_same_to_several_threads(name):
     with ThreadPoolExecutor(4) as threads:
         for _ in range(3):
             assert list(threads.map(asked, rows)) == alone
+
+
+def test_what_one_thread_asks_changes_no_digit_for_another():
+    """Solutions along a path are kept: those of another thread's path were taken, or replaced one's own."""
+    arm = ls.Arm.load("telescopic_crane")
+    low, high = arm.position_limits.T
+    path, other = (np.linspace(low + 0.1 * (high - low), low + end * (high - low), 150) for end in (0.6, 0.8))
+
+    def solved(asked_between):
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(arm.qpos, path).result()
+            for rows in asked_between:
+                arm.qpos(rows)
+            return thread.submit(arm.qpos, path[1:]).result()
+
+    np.testing.assert_array_equal(solved([]), solved([other]))

@@ -360,6 +360,15 @@ def test_disabled_equalities_hold_nothing():
         assert (arm.grasp is None) == bool(flag)
 
 
+def test_a_body_that_a_connect_ties_to_the_hand_is_named_with_what_to_do():
+    free = '<body name="pail" pos="0 0 2"><freejoint/><geom/></body>'
+    chain = body("a", hinge("x"), body("b", hinge("y"), site("tip", "0 0 1")))
+    model = compiled(chain + free, '<connect body1="b" body2="pail" anchor="0 0 1"/>')
+    told = r"number 2 of body 'pail' .* the connect equality of 'b' and 'pail', .* a weld in place .* data\.eq_active"
+    with pytest.raises(InputError, match=told):
+        ls.Arm.of(model, mujoco.MjData(model), ["x", "y"], tip="tip")
+
+
 def test_what_hangs_on_a_held_body_moves_with_it():
     free = '<body name="{}" pos="{} 0 1"><freejoint/><geom size=".01" contype="{}"/></body>'
     welds = '<weld body1="b" body2="box"/><weld body1="box" body2="lamp"/>'

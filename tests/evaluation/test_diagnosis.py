@@ -141,7 +141,9 @@ def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
     turn, x, _ = error_causes(off)
     assert turn.startswith("joint 'turn' ends 7 degrees off, which alone moves a link by 0 mm and 7 degrees")
     assert x.startswith("joint 'x' ends 50 mm off, which alone moves a link by 50 mm and 0 degrees")
-    assert f"its force limit of {limit:.3g} N is reached in 25 % of the time" in x
+    assert f"its force limit of {limit:.3g} N is reached in 25.4 % of the time" in x
+    always = replace(off, force=np.full_like(force, limit))
+    assert "is reached in 100 % of the time, first at t = 0.00 s" in error_causes(always)[1]
     # The same error of a joint whose reference goes elsewhere, as that of a policy does that has not arrived.
     turn, x, helps = error_causes(replace(off, q_ref=rollout.q_ref))
     assert x.endswith("its reference ends 50 mm off")

@@ -143,10 +143,12 @@ def test_success_needs_every_link_within_both_bounds_and_no_contact():
 
     good = frame("link 1", 1.0, 0.1, 9.0, 9.0, 9.0, 9.0)
     far = frame("link 2", 1.001, 0.0, 0.0, 0.0, 0.0, 0.0)
-    skew = frame("link 2", 0.0, 0.1001, 0.0, 0.0, 0.0, 0.0)
+    skew = frame("link 2", 5.6e-14, 0.1001, 0.0, 0.0, 0.0, 0.0)
+    away = frame("link 2", 1234.5, 1.9e-14, 0.0, 0.0, 0.0, 0.0)
     assert shortfall(good, good) == ""
     assert shortfall(good, far, good) == "arrival: link 2 ends 1 mm and 0 deg off"
     assert shortfall(good, skew) == "arrival: link 2 ends 0 mm and 0.1 deg off"
+    assert shortfall(good, away) == "arrival: link 2 ends 1234 mm and 0 deg off"
     assert shortfall(far, contacts=3) == "contact: up to 3 at a time"
     # In a sequence a grasp is contact.
     grasped = dataclasses.replace(EVALUATION, frames=(good,), contacts=3, sequence=True)

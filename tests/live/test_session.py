@@ -241,7 +241,7 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
     shown = status(Observer(session).look()._replace(gap=np.array([0.1, 2e-3])))
     assert ">certified<" in shown
     assert " proved" in shown
-    assert ">2 mm, 5.7°<" in shown
+    assert ">2 mm and 5.73 degrees<" in shown
     session.choose(policy="lieednn-replanning")  # whose network has a certificate, but no bound on its way
     session.settle()
     session.advance()

@@ -125,7 +125,7 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     smooth, data = cell()
     smooth.geom_friction[:, 0] = 0.02
     lost = ls.evaluate(ls.simulate(ls.Arm.of(smooth, data, JOINTS, tip="grasp", limits=LIMITS), found))
-    assert lost.arrival == f"fails: hold: what the hand should hold moves by {lost.slip_mm:.3g} mm in it"
+    assert lost.arrival == f"fails: hold: what the hand should hold moves by {lost.slip_mm:.0f} mm in it"
     # Fingers that close later or sooner than planned only shift what follows.
     assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}

@@ -89,6 +89,15 @@ def test_only_what_a_film_shows_is_in_the_scene(staged):
     assert [model.geom(geom).name for geom in shapes.floors] == ["floor"]
 
 
+def test_a_floor_in_a_body_is_drawn_where_it_is():
+    """As that of an imported arm; it was drawn at the pose in its body."""
+    pytest.importorskip("viser")
+    floor = '<body pos="0 0 -.3" euler="0 90 0"><geom type="plane" size="0 0 1" pos=".1 0 0"/></body>'
+    shapes = viser_scene.Shapes(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{floor}</worldbody></mujoco>"))
+    np.testing.assert_allclose(shapes.floors[0]["position"], [0.0, 0.0, -0.4], atol=1e-9)
+    np.testing.assert_allclose(shapes.floors[0]["wxyz"], [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], atol=1e-9)
+
+
 def test_edges_are_sharp_and_curved_sides_smooth():
     """A box has three vertices at each of its 8 corners; of a cylinder, all but the middles of its ends are twice."""
     pytest.importorskip("viser")

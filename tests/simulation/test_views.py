@@ -284,3 +284,17 @@ def test_neither_fingers_that_touch_nor_what_is_in_a_gap_is_a_contact():
     mujoco.mj_forward(model, data)
     assert sorted(data.contact.exclude) == [0, 1]
     assert not run.contacts.any()
+
+
+@pytest.mark.parametrize("policy", ["allowed", "init"])
+def test_an_arm_does_not_sleep_while_what_it_does_not_touch_may(policy):
+    """Controls do not wake what sleeps in MuJoCo: the arm ended off its target, here by more than half a radian."""
+    asleep = ROBOT.replace('"implicitfast"/>', '"implicitfast"><flag sleep="enable"/></option>')
+    asleep = asleep.replace('name="a"', f'name="a" sleep="{policy}"').replace('name="ball"', 'name="ball" sleep="init"')
+    model = mujoco.MjModel.from_xml_string(asleep)
+    imported = ls.Arm.from_spec(mujoco.MjSpec.from_string(asleep), joints=JOINTS, tip="tip")
+    for arm in (view(model, mujoco.MjData(model)), imported):
+        run = ls.simulate(arm, ls.plan(arm, [0.6, -0.4, 0.1], planner="minimum-jerk"))
+        assert np.abs(run.tracking_error[-1]).max() < 2e-3
+        assert run.qpos[-1, 2] == 0.5
+    assert imported.spec.body("a").sleep == mujoco.mjtSleepPolicy.mjSLEEP_NEVER, "what is compiled later needs it, too"

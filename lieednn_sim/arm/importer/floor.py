@@ -14,6 +14,7 @@ from lieednn_sim.validation import as_floats
 
 AUTO, NONE = "auto", "none"  # the importer chooses the floor, or there is none
 FLOOR = "floor"  # the body of a floor that the importer or a scene has added
+GREY = (0.62, 0.62, 0.60, 1.0)  # its colour, for which films show squares
 _ROOM = PLANNED_CLEARANCE + 0.01  # how far below the moving parts at home a floor lies at least [m]
 
 
@@ -52,7 +53,7 @@ def add_floor(spec: mujoco.MjSpec, arm: ModelArm, floor: float | str, notes: lis
 def add_plane(spec: mujoco.MjSpec, name: str, height: float, bits: int) -> None:
     """Add a horizontal plane, in a body of its own so that messages name it."""
     body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, height])
-    look = {"name": name, "size": [0.0, 0.0, 0.05], "rgba": (0.62, 0.62, 0.60, 1.0), "group": 2}
+    look = {"name": name, "size": [0.0, 0.0, 0.05], "rgba": GREY, "group": 2}
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, contype=bits, conaffinity=bits, **look)
 
 

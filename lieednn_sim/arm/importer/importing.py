@@ -38,11 +38,7 @@ def import_model(
     Without ``links``, ``joints`` and ``tip`` the arm is the chain with the most driven joints
     (`serial_chain.longest_chain`). It is cut into compound joints (`compound_joints.cut`), with its link frames at the
     origins of the bodies behind the cuts. `docs/howto/own_arm.md` lists what is added to it, and the report says it. A
-    given spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
-
-    Raises:
-        FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
-        InputError: the names or the mechanism don't make an arm; the message says why.
+    given spec is not changed; ``source`` is its file. For the options see `ImportOptions`, for errors `Arm.from_xml`.
     """
     given: dict[str, Any] = {what: value for what, value in options.items() if value is not None}
     rule = as_choice("choice of servos", given.get("servos", "keep"), SERVOS)

@@ -47,13 +47,16 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
 
 
 def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
-    """Lock joints whose limits are equal, where MuJoCo would take them for unlimited; say which have none.
+    """Lock joints whose limits are equal, where MuJoCo would take them for unlimited; say which have, or get, none.
 
     `InputError` if a lower limit is above the upper one, or no joint is left.
     """
     locked: list[str] = []
     for name, element in joints.items():
         joint, kind, limit = spec.joint(name), element.get("type"), element.find("limit")
+        if joint is not None and kind == "continuous" and np.any(joint.range):
+            joint.range = 0.0, 0.0  # none; ROS ignores it, MuJoCo would keep it
+            notes.append(f"{name}: continuous, so that its limits in the URDF do not count")
         if joint is None or kind not in ("revolute", "prismatic"):
             continue
         low, high = joint.range
@@ -108,18 +111,19 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     Other simulators accept both. If MuJoCo guesses masses from shapes, their weight is compensated, so that no motor
     has to hold what nobody has weighed.
     """
-    mended, massless, guessed = [], [], []
+    mended: dict[str, list[str]] = {}  # bodies by what was done
     for body in spec.bodies[1:]:
         if body.joints and body.explicitinertial and body.mass == 0.0:
             body.explicitinertial, body.ipos, body.fullinertia = False, np.full(3, np.nan), np.full(6, np.nan)
             notes.append(f"{body.name}: a mass of zero is taken as no <inertial>")
         if not body.explicitinertial and len(body.geoms):
             body.gravcomp = 1.0
-            guessed.append(body.name)
+            what = "links without <inertial> got the inertia of their shapes, but no weight"
+            mended.setdefault(what, []).append(body.name)
         if body.joints and not body.explicitinertial and not body.geoms:
             # As light as MuJoCo's solver tolerates between links of some kilograms.
             body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
-            massless.append(body.name)
+            mended.setdefault("links without <inertial> got a mass of 10 g", []).append(body.name)
             continue
         given = body.fullinertia
         if not np.isfinite(given).all():
@@ -132,13 +136,8 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
             moments[:2] += 0.5 * max(lacking, 0.0)
             tensor = (axes * moments) @ axes.T
             body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            mended.append(body.name)
-    if massless:
-        notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
-    if guessed:
-        notes.append(f"links without <inertial> got the inertia of their shapes, but no weight: {', '.join(guessed)}")
-    if mended:
-        notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
+            mended.setdefault("physically impossible inertias made larger", []).append(body.name)
+    notes += [f"{what}: {', '.join(bodies)}" for what, bodies in mended.items()]
 
 
 def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Floats, notes: list[str]) -> Floats:
@@ -161,6 +160,7 @@ def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Flo
     notes.append(f"{body.name!r}, a free body that carries the arm, is fixed where it is at home")
     # MuJoCo 4 checks the keyframes here, and refuses those that are already without the joint.
     spec.delete(spec.joints[joint])
+    body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_AUTO  # MuJoCo allows others for moving bodies only
     for key, values in zip(spec.keys, keys, strict=True):
         key.qpos, key.qvel = values
     return np.delete(qpos, coordinates)

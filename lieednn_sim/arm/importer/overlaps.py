@@ -19,7 +19,7 @@ from lieednn_sim.arm.importer.home import MARGIN
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.surroundings import moved_together
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, rounded
 
 # Two ids, the smaller one first: of geoms or of bodies.
 _Pair = tuple[int, int]
@@ -228,4 +228,4 @@ def _pair(first: int, second: int) -> _Pair:
 
 
 def _depth(distance: float) -> str:
-    return f"{1e3 * abs(distance):.3g} mm {'deep' if distance < 0.0 else 'apart'}"
+    return f"{rounded(1e3 * abs(distance))} mm {'deep' if distance < 0.0 else 'apart'}"

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.evaluation.display import escaped, markdown_table, rounded
+from lieednn_sim.evaluation.display import escaped, markdown_table
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.case import settings_of
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.rows import Column, Group, grouped, motions
 from lieednn_sim.studies.table import Table
-from lieednn_sim.values import StrPath
+from lieednn_sim.values import StrPath, rounded
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 
