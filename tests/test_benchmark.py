@@ -31,6 +31,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark_rows, "simulate", partial(simulate, hold=0.0))
     monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
+    monkeypatch.setattr(benchmark_rows, "FRAME_SIZE", (64, 36))
     monkeypatch.setattr(benchmark, "SIZES", (3, 4))
     for module in (certified, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)

@@ -17,7 +17,6 @@ import pytest
 from hatchling import build
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
-from twine.commands.check import check
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -85,6 +84,8 @@ def test_wheel_and_sdist_hold_what_they_should(packages):
 
 
 def test_an_index_would_take_the_packages(packages):
+    from twine.commands.check import check  # which imports much, in every worker if it were above
+
     assert not check([str(path) for path in packages[:2]], strict=True)
 
 

@@ -4,6 +4,7 @@ import io
 import signal
 import sys
 import time
+from importlib.util import find_spec
 from urllib.request import urlopen
 
 import numpy as np
@@ -19,7 +20,8 @@ from lieednn_sim.live import Page, Session, Settings
 from lieednn_sim.live.page import warning
 from lieednn_sim.live.scene import Observer
 
-pytest.importorskip("viser")
+# Without importing it, which takes every worker long.
+pytestmark = pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
 WIDTH, HEIGHT = 720, 560
 # For a page that has begun: few pictures a second, since to draw without a graphics card takes all that a core has. The
 # player would answer to few of them by another resolution, which takes longest, unless the page's address has one.
