@@ -51,7 +51,10 @@ SHORTER = {
     "docs/howto/action_chunks.md": (("duration=4.0", "duration=1.0"),),
     "docs/howto/compare.md": (("seeds=2,", "seeds=1,"),),
     "docs/howto/policies.md": (("duration=4.0", "duration=1.0"), ("duration=2.0", "duration=1.0")),
-    "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
+    "docs/howto/demonstrations.md": (
+        ("for bend in bends])", "for bend in bends], samples=60)"),
+        ("duration=12.0", "duration=2.0"),
+    ),
     "docs/howto/environments.md": (("for seed in range(3)", "for seed in range(1)"),),
     "docs/howto/robot_loop.md": (("duration=0.5", "duration=0.05"),),
 }

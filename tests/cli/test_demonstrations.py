@@ -70,8 +70,9 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
         *["--unit", "cm", "--goals", "kept", "--deviation", "0.02", "--output"],
         str(tmp_path / "kept"),
     ]
-    # To draw the field takes longer than all else.
-    monkeypatch.setattr("lieednn_sim.cli.demonstrations.plot_field", lambda *_: None)
+    # To draw takes longer than all else.
+    for plot in ("plot_field", "plot_paths"):
+        monkeypatch.setattr(f"lieednn_sim.cli.demonstrations.{plot}", lambda *_: None)
     assert main([*words, "--starts", "2", "--rivals", "none", "--no-leave-one-out"]) == 0
     assert "and kept" in capsys.readouterr().out
     assert LieEDNN.load(tmp_path / "kept" / "network.npz").goal_gain is not None
