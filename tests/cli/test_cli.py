@@ -42,7 +42,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys, monkeypatch):
     save = figure_layout.save_figure
 
     def save_few(figure, path):
-        """To draw the joints' figure with its many axes takes as long as others; `test_plots.py` draws a smaller one."""
+        """Not the joints' figure, whose many axes take as long as all others; `test_plots.py` draws a smaller one."""
         path.write_bytes(b"a picture") if len(figure.axes) > 20 else save(figure, path)
 
     monkeypatch.setattr(figure_layout, "save_figure", save_few)

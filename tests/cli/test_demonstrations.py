@@ -27,6 +27,7 @@ def hook(tmp_path):
 @pytest.mark.usefixtures("drawing")
 def test_learn(hook, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(paths, "SAMPLES", 60)
+    monkeypatch.setattr("lieednn_sim.studies.demonstrations.plots._STARTS", 3)
     output = tmp_path / "learned"
     words = ["learn", *hook, "--unit", "cm", "--starts", "20", "--rivals", "dmp"]
     words += ["--deviation", "0.004", "--output", str(output)]
