@@ -49,6 +49,9 @@ os.environ.setdefault("GALLIVM_PERF", "nopt")
 # To wait for the disk makes nothing safer here; `test_platform.py` walks the road with the system's own.
 os.fsync = os.fstat
 
+# What is installed beside it and offers Hypothesis something, such as trio, need not be imported by every worker.
+os.environ.setdefault("HYPOTHESIS_NO_PLUGINS", "1")
+
 # Garbage is little beside what is imported and kept, so that to look for it often takes a tenth of the time.
 gc.set_threshold(100_000, 50, 50)
 

@@ -14,6 +14,7 @@ import benchmark_rows
 import numpy as np
 import pytest
 from benchmark_rows import Row, ratios
+from gymnasium.vector import SyncVectorEnv
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.learning import training
@@ -31,7 +32,10 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark_rows, "simulate", partial(simulate, hold=0.0))
     monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
+    monkeypatch.setattr(benchmark_rows, "FRAME_SIZE", (64, 36))
     monkeypatch.setattr(benchmark, "SIZES", (3, 4))
+    # Instead of environments in processes, each of which imports all that there is.
+    monkeypatch.setattr(benchmark_rows, "AsyncVectorEnv", SyncVectorEnv)
     for module in (certified, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
     benchmark.write(tmp_path, 10_000)

@@ -92,7 +92,7 @@ def test_every_result_has_a_short_repr():
     policy = ls.NetworkPolicy(arm, network)
     following = ls.follow(policy, lambda t: target, 0.2)
     evaluation, xi = ls.evaluate(rollout), arm.encode(target)
-    trained = train(xi, TrainingOptions.tracked())
+    trained = train(xi, TrainingOptions.tracked(max_epochs=2))
     results = [arm, planned, planned.motion, rollout, following, evaluation, ls.evaluate_following(following)]
     results += [evaluation.end_effector, network, network.certificate, network.assess(), network.robustness()]
     results += [network.equilibrium(), network.trajectory(network.start(planned.motion.xi[0]), 1.0)]

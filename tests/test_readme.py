@@ -46,12 +46,16 @@ SHORTER = {
     "docs/howto/swinging_loads.md": (
         ("hold=5.0", "hold=0.2"),
         ("(0.8, 1.2)", "(0.8,)"),
-        ("[1.2, 0.8, 1.0], duration=10.0", "[0.2, 0.6, 0.6], duration=3.0"),
+        ("[1.2, 0.8, 1.0], duration=10.0", "[0.1, 0.55, 0.55], duration=2.0"),
     ),
     "docs/howto/action_chunks.md": (("duration=4.0", "duration=1.0"),),
     "docs/howto/compare.md": (("seeds=2,", "seeds=1,"),),
     "docs/howto/policies.md": (("duration=4.0", "duration=1.0"), ("duration=2.0", "duration=1.0")),
-    "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
+    "docs/howto/demonstrations.md": (
+        ("for bend in bends])", "for bend in bends], samples=60)"),
+        ("duration=12.0", "duration=2.0"),
+    ),
+    "docs/howto/environments.md": (("for seed in range(3)", "for seed in range(1)"),),
     "docs/howto/robot_loop.md": (("duration=0.5", "duration=0.05"),),
 }
 COMMANDS = {

@@ -66,6 +66,7 @@ def test_the_tables_of_loads_that_swing_go_on_where_they_were(tmp_path, monkeypa
     assert [round(mode.frequency, 1) for mode in PassiveJoints(arm).modes(arm.keyframe("home"))] == [0.8, 0.8]
     for name in ("measured", "linear"):
         monkeypatch.setattr(settling, name, None)
+    monkeypatch.setattr(settling, "plot", lambda *_: None)
     settling.main(words)
     assert (tmp_path / "settling.md").read_text() == table
 
@@ -183,6 +184,7 @@ def test_cost_over_time_measures_and_draws(tmp_path, capsys, monkeypatch):
         assert min(picture.size) > 100
     # What is there is not made again, and the table is the same.
     monkeypatch.setattr(cost_over_time, "measured", None)
+    monkeypatch.setattr(cost_over_time, "plot", lambda *_: None)
     cost_over_time.main([*words, str(tmp_path)])
     assert capsys.readouterr().out == f"{text}\n"
     with pytest.raises(SystemExit):

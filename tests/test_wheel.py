@@ -1,6 +1,7 @@
 """The packages hold what they should, and the wheel, in a fresh environment, finds its models and does its work."""
 
 import contextlib
+import gzip
 import json
 import os
 import subprocess
@@ -9,13 +10,13 @@ import sysconfig
 import tarfile
 import tomllib
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import pytest
 from hatchling import build
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
-from twine.commands.check import check
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -35,7 +36,9 @@ def run(*command, cwd):
 def packages(tmp_path_factory):
     """The sdist, the wheel built from it, and the wheel built from the checkout, as `python -m build` asks for them."""
     dist, direct, unpacked = (tmp_path_factory.mktemp(name) for name in ("dist", "direct", "unpacked"))
-    with contextlib.chdir(ROOT):
+    with contextlib.chdir(ROOT), pytest.MonkeyPatch.context() as patch:
+        # To compress takes longer than all else.
+        patch.setattr(gzip, "GzipFile", partial(gzip.GzipFile, compresslevel=0))
         sdist = dist / build.build_sdist(str(dist))
         wheel = direct / build.build_wheel(str(direct))
     with tarfile.open(sdist) as archive:
@@ -81,6 +84,8 @@ def test_wheel_and_sdist_hold_what_they_should(packages):
 
 
 def test_an_index_would_take_the_packages(packages):
+    from twine.commands.check import check  # which imports much, in every worker if it were above
+
     assert not check([str(path) for path in packages[:2]], strict=True)
 
 

@@ -52,8 +52,10 @@ def test_an_unpickled_arm_is_the_arm_that_was_pickled(folder, monkeypatch, tmp_p
     assert copied.spec.to_xml() == changed.spec.to_xml()
     assert copied.clearance == 0.007
     # A payload is added to the spec.
-    motion = ls.plan(arm, arm.keyframe("aside" if scene != "poles" else "home"), planner="minimum-jerk").motion
-    runs = [ls.simulate(a, motion, disturbances=ls.Disturbances(payload=0.1)) for a in (changed, copied)]
+    motion = ls.plan(
+        arm, arm.keyframe("aside" if scene != "poles" else "home"), planner="minimum-jerk", duration=1.0
+    ).motion
+    runs = [ls.simulate(a, motion, hold=0.0, disturbances=ls.Disturbances(payload=0.1)) for a in (changed, copied)]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
 
 

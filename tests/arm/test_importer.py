@@ -364,7 +364,8 @@ FIVE_BAR = """<mujoco><compiler angle="radian"/><default><geom size=".02"/></def
 <keyframe><key name="home" qpos="2 -1 1.14 1"/></keyframe></mujoco>"""
 
 
-def test_a_parallel_robot_is_told_to_be_none_but_one_of_its_chains_may_be():
+def test_a_parallel_robot_is_told_to_be_none_but_one_of_its_chains_may_be(monkeypatch):
+    monkeypatch.setattr(remarks, "_PATHS", 2)  # on which loops are closed, which takes long
     told = r"is parallel: loops close its 2 chains, which end in 'rod1', 'rod2', but an arm is .*; name the tip"
     with pytest.raises(InputError, match=told):
         Arm.from_spec(spec_of(FIVE_BAR))

@@ -27,6 +27,7 @@ def hook(tmp_path):
 @pytest.mark.usefixtures("drawing")
 def test_learn(hook, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(paths, "SAMPLES", 60)
+    monkeypatch.setattr("lieednn_sim.studies.demonstrations.plots._STARTS", 3)
     output = tmp_path / "learned"
     words = ["learn", *hook, "--unit", "cm", "--starts", "20", "--rivals", "dmp"]
     words += ["--deviation", "0.004", "--output", str(output)]
@@ -70,8 +71,9 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
         *["--unit", "cm", "--goals", "kept", "--deviation", "0.02", "--output"],
         str(tmp_path / "kept"),
     ]
-    # To draw the field takes longer than all else.
-    monkeypatch.setattr("lieednn_sim.cli.demonstrations.plot_field", lambda *_: None)
+    # To draw takes longer than all else.
+    for plot in ("plot_field", "plot_paths"):
+        monkeypatch.setattr(f"lieednn_sim.cli.demonstrations.{plot}", lambda *_: None)
     assert main([*words, "--starts", "2", "--rivals", "none", "--no-leave-one-out"]) == 0
     assert "and kept" in capsys.readouterr().out
     assert LieEDNN.load(tmp_path / "kept" / "network.npz").goal_gain is not None

@@ -45,15 +45,14 @@ def rollout_of(arm, q, q_ref):
     )
 
 
-def test_a_run_is_plotted_by_one_call(tmp_path):
-    # `test_cli.test_the_demo_without_video_meets_its_bounds` draws these four.
-    arm = Arm.load("telescopic_pr")
-    planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
-    written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new")
+def test_a_run_is_plotted_by_one_call(gantry, tmp_path):
+    target = np.array([0.1, 0.2, 0.3, 0.4])
+    planned = ls.plan(gantry, target, planner="linear-attractor", duration=2.0)
+    written = ls.plot(ls.simulate(gantry, planned, hold=0.0), tmp_path / "new")
     assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png", "clearance.png"}
     assert all(path.exists() for path in written)
-    policy = ls.make_policy("linear-attractor", arm, "extended")
-    written = ls.plot(ls.follow(policy, "extended", 0.1).rollout, tmp_path / "other")
+    policy = ls.make_policy("linear-attractor", gantry, target)
+    written = ls.plot(ls.follow(policy, target, 0.1).rollout, tmp_path / "other")
     assert {path.name for path in written} == {"tracking.png", "joints.png", "channels.png"}
     with pytest.raises(InputError, match="rollout must be a Rollout"):
         ls.plot(planned, tmp_path)
@@ -143,6 +142,13 @@ def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):
     assert turn[0].lines[0].get_color() != turn[0].lines[1].get_color()
     words = [text.get_text() for text in drawn[0].legends[0].texts]
     assert words == ["simulated", "reference", "limits", "end of the motion", "push"]
+
+
+@pytest.mark.usefixtures("drawing")
+def test_the_joints_plot_can_be_drawn(gantry, tmp_path, monkeypatch):
+    monkeypatch.setattr(figure_layout, "_DPI", 20)
+    joint_plots.plot_joints(make_rollout(gantry), tmp_path / "joints.png")
+    assert (tmp_path / "joints.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(("joint", "column", "unit"), [(7, 0, 1e-3), (0, 1, np.deg2rad(1.0))])

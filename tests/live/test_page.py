@@ -4,6 +4,7 @@ import io
 import signal
 import sys
 import time
+from importlib.util import find_spec
 from urllib.request import urlopen
 
 import numpy as np
@@ -19,7 +20,8 @@ from lieednn_sim.live import Page, Session, Settings
 from lieednn_sim.live.page import warning
 from lieednn_sim.live.scene import Observer
 
-pytest.importorskip("viser")
+# Without importing it, which takes every worker long.
+pytestmark = pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
 WIDTH, HEIGHT = 720, 560
 # For a page that has begun: few pictures a second, since to draw without a graphics card takes all that a core has. The
 # player would answer to few of them by another resolution, which takes longest, unless the page's address has one.
@@ -239,7 +241,8 @@ def test_other_machines_are_let_in_with_a_warning_and_only_when_asked_for():
 def test_a_load_beyond_the_usual_ones_is_shown_to_others_and_a_planner_that_is_not_installed_is_refused(monkeypatch):
     given = {"payload": 800.0, "mass_scale": 3.0, "rho": 0.02}
     warned = pytest.warns(UserWarning, match="anybody who can reach this machine")
-    with warned, ls.view(host="0.0.0.0", browser=False, **given) as page:
+    # To prove what a network does that is this much slower than its motion takes seconds.
+    with warned, ls.view(host="0.0.0.0", browser=False, policy="linear-attractor", **given) as page:
         shown = [handle.value for handle in page._server.gui._gui_input_handle_from_uuid.values()]
         assert set(given.values()) <= {value for value in shown if isinstance(value, float)}
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: None)

@@ -32,7 +32,7 @@ def pushed(arm, force):
 
 def test_a_run_stops_at_the_first_instant_at_which_nothing_is_proved(planned):
     arm, made = planned
-    whole = simulate(arm, made, disturbances=pushed(arm, 300.0))
+    whole = simulate(arm, made, hold=0.0, disturbances=pushed(arm, 300.0))
     with pytest.raises(SimulationError, match="the run leaves the proof of its plan's clearance at t = ") as stopped:
         simulate(arm, made, disturbances=pushed(arm, 300.0), stop_outside=True)
     run, message = stopped.value.rollout, str(stopped.value)
@@ -62,8 +62,9 @@ def test_a_run_stops_at_the_first_instant_at_which_nothing_is_proved(planned):
 @pytest.mark.parametrize("disturbances", [Disturbances(), Disturbances(mass_scale=1.5)])
 def test_a_run_inside_does_not_stop(planned, disturbances):
     arm, made = planned
-    whole = simulate(arm, made, disturbances=disturbances)
-    np.testing.assert_array_equal(simulate(arm, made, disturbances=disturbances, stop_outside=True).q, whole.q)
+    how = {"hold": 0.0, "disturbances": disturbances}
+    whole = simulate(arm, made, **how)
+    np.testing.assert_array_equal(simulate(arm, made, **how, stop_outside=True).q, whole.q)
     assert whole.outside == ""
     assert evaluate(whole).proved
 

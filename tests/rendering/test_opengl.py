@@ -150,14 +150,26 @@ def test_users_later_choice_beats_the_inherited(working, monkeypatch):
     assert opengl.configure().requested == "osmesa"
 
 
-@pytest.mark.rendering
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
-def test_a_process_forked_after_egl_was_used_is_told_so():
-    """It would wait forever for threads of the driver, which a fork does not copy."""
-    code = """
+@pytest.mark.parametrize("text", ["{", "[]", '{"name": "egl"}'])
+def test_broken_inheritance_is_ignored(working, monkeypatch, text):
+    working("egl")
+    monkeypatch.setenv("LIEEDNN_SIM_GL", text)
+    assert opengl.choose_backend().detail == "egl renderer"
+
+
+# What is chosen after MuJoCo was imported: a picture's shape, and whether the probe said by what it is drawn.
+RENDERING = """
 import os, mujoco
 from lieednn_sim.errors import RenderingUnavailableError
 from lieednn_sim.rendering import opengl
+
+def render():
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    with mujoco.Renderer(model, 16, 16) as renderer:
+        renderer.update_scene(mujoco.MjData(model))
+        print(renderer.render().shape)
+        from OpenGL import GL
+        print(GL.glGetString(GL.GL_RENDERER).decode() == backend.detail, flush=True)
 
 def forked():
     if os.fork() == 0:
@@ -168,45 +180,27 @@ def forked():
             print(error, flush=True)
         os._exit(0)
     os.wait()
-
-opengl.require()
-forked()
-with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
-    renderer.render()
-forked()
 """
-    done = run_python("-c", code, MUJOCO_GL="egl")
-    assert done.stdout.splitlines()[-2:] == [
-        "renders",
-        "cannot render, since EGL was used before a fork: start processes by 'spawn'",
-    ], done.stderr
-
-
-@pytest.mark.parametrize("text", ["{", "[]", '{"name": "egl"}'])
-def test_broken_inheritance_is_ignored(working, monkeypatch, text):
-    working("egl")
-    monkeypatch.setenv("LIEEDNN_SIM_GL", text)
-    assert opengl.choose_backend().detail == "egl renderer"
 
 
 @pytest.mark.rendering
-@pytest.mark.parametrize("before", ["", "os.environ |= {'MUJOCO_GL': 'egl', 'PYOPENGL_PLATFORM': 'osmesa'}"])
-def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds(before):
-    code = f"""
-import os
-{before}
-import mujoco
-from lieednn_sim.rendering import opengl
-backend = opengl.require()
-model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
-with mujoco.Renderer(model, 16, 16) as renderer:
-    renderer.update_scene(mujoco.MjData(model))
-    print(renderer.render().shape)
-    from OpenGL import GL
-    print(GL.glGetString(GL.GL_RENDERER).decode() == backend.detail)
-"""
-    done = run_python("-c", code)
+def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds():
+    done = run_python("-c", f"{RENDERING}\nbackend = opengl.require()\nrender()")
     assert done.stdout == "(16, 16, 3)\nTrue\n", done.stderr
+
+
+@pytest.mark.rendering
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
+def test_another_platform_of_pyopengl_is_overruled_and_a_process_forked_after_egl_was_used_is_told_so():
+    """It would wait forever for threads of the driver, which a fork does not copy."""
+    before = "import os\nos.environ |= {'MUJOCO_GL': 'egl', 'PYOPENGL_PLATFORM': 'osmesa'}"
+    done = run_python("-c", f"{before}{RENDERING}\nbackend = opengl.require()\nforked()\nrender()\nforked()")
+    assert done.stdout.splitlines() == [
+        "renders",
+        "(16, 16, 3)",
+        "True",
+        "cannot render, since EGL was used before a fork: start processes by 'spawn'",
+    ], done.stderr
 
 
 def test_require_names_the_packages(working):

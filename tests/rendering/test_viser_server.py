@@ -5,6 +5,8 @@ import socket
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from importlib.util import find_spec
 
 import pytest
 import rich
@@ -14,8 +16,8 @@ from websockets.sync.client import connect
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.rendering.viser_server import quiet_server, refusal
 
-viser = pytest.importorskip("viser")
-PROTOCOL = f"viser-v{viser.__version__}"
+pytestmark = pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
+PROTOCOL = f"viser-v{version('viser')}" if find_spec("viser") else ""
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:9", "[::1]:8080", "192.168.0.7:8080", "Box.lab:80"])
@@ -110,7 +112,7 @@ def test_a_viser_that_starts_otherwise_is_not_let_run_unasked(monkeypatch):
         def stop(self):
             stopped.append(self)
 
-    monkeypatch.setattr(viser, "ViserServer", Otherwise)
+    monkeypatch.setattr("viser.ViserServer", Otherwise)
     with pytest.raises(LieEDNNError, match="starts its server in an unknown way"), quiet_server():
         pass
     assert stopped

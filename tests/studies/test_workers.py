@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import operator
 import os
+import pickle
 import signal
 import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
@@ -26,18 +27,21 @@ def test_workers_import_the_modules_of_ones_own_planners_policies_and_controller
     assert {"mine_0", "mine_1", "mine_2"} <= set(workers._added()[0])
 
 
-def _has_planner(name):
-    return name in PLANNERS
-
-
 def test_workers_run_the_files_of_ones_own_planners(tmp_path, monkeypatch):
-    monkeypatch.setattr(PLANNERS, "entries", dict(PLANNERS.entries))
+    """By what they are begun with, in this process, which has lost its own."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "planner_of_a_file.py").write_text("def halver(problem): ...\n")
-    name = f"{tmp_path}/planner_of_a_file.py:halver"
-    PLANNERS.find(name)
-    with worker_pool(1) as pool:
-        assert pool.submit(_has_planner, name).result()
+    name, begun = f"{tmp_path}/planner_of_a_file.py:halver", {}
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", lambda *_, **how: begun.update(how) or ThreadPoolExecutor(1))
+    with monkeypatch.context() as patch:
+        patch.setattr(PLANNERS, "entries", dict(PLANNERS.entries))
+        PLANNERS.find(name)
+        with worker_pool(1):
+            pass
+    monkeypatch.setattr(PLANNERS, "entries", dict(PLANNERS.entries))
+    assert name not in PLANNERS
+    begun["initializer"](*pickle.loads(pickle.dumps(begun["initargs"])))
+    assert name in PLANNERS
 
 
 @pytest.mark.parametrize("reason", [KeyboardInterrupt, ValueError])
