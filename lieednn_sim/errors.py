@@ -40,6 +40,10 @@ class TooFastError(PlanError):
         super().__init__(message)
         self.duration = duration
 
+    def __reduce__(self) -> tuple[type[TooFastError], tuple[str, float], dict[str, Any]]:
+        # Exceptions are unpickled and copied by their message alone.
+        return type(self), (str(self), self.duration), vars(self)
+
 
 class OutOfTimeError(NoSolutionError):
     """A planner used up its time budget before it found a motion; see `time_limit`."""
