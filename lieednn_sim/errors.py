@@ -36,13 +36,9 @@ class TooFastError(PlanError):
         duration: a duration that is long enough [s].
     """
 
-    def __init__(self, message: str, duration: float) -> None:
+    def __init__(self, message: str, duration: float = float("inf")) -> None:  # unpickled from its message alone
         super().__init__(message)
         self.duration = duration
-
-    def __reduce__(self) -> tuple[type[TooFastError], tuple[str, float], dict[str, Any]]:
-        # Exceptions are unpickled and copied by their message alone.
-        return type(self), (str(self), self.duration), vars(self)
 
 
 class OutOfTimeError(NoSolutionError):
