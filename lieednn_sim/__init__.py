@@ -23,7 +23,7 @@ __all__ = sorted(_MODULE_OF)
 
 def __getattr__(name: str) -> object:
     if name == "__version__":
-        return import_module("importlib.metadata").version("lieednn_sim")
+        return import_module("lieednn_sim.versions").installed("lieednn_sim") or "unknown"
     if name in _MODULE_OF:
         return getattr(import_module(f"lieednn_sim.{_MODULE_OF[name]}"), name)
     if name in _SUBPACKAGES:

@@ -7,30 +7,37 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
+from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+_STARTING = threading.Lock()  # `__main__` may be another module while a process starts
 
 
 class WorkerProcess(SpawnProcess):
     """A fresh process that ends at once when its parent ends, even by SIGKILL, and ignores Ctrl-C.
 
-    Both hold before the worker imports its modules, which may take seconds.
+    Both hold before the worker imports its modules, which may take seconds, and its parent's program, if it is a file.
     """
 
+    _lone = False
+
     def start(self) -> None:
+        self.daemon = self._lone
         # Only this process holds the other end; the system closes it when this process ends.
         self._starter, self._held = Pipe(duplex=False)
-        with self._starter:
-            if not hasattr(signal, "pthread_sigmask"):  # on Windows, where Ctrl-C leaves a traceback until `_begun`
-                super().start()
-                return
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            try:
-                super().start()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        with self._starter, _STARTING, ExitStack() as after:
+            if hasattr(signal, "pthread_sigmask"):  # not on Windows, where Ctrl-C leaves a traceback until `_begun`
+                before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                after.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+            program = sys.modules["__main__"]
+            if self._lone or not Path(getattr(program, "__file__", None) or "<stdin>").exists():
+                after.callback(sys.modules.__setitem__, "__main__", program)
+                sys.modules["__main__"] = ModuleType("__main__")
+            super().start()
 
     def __reduce__(self) -> tuple[Callable[..., WorkerProcess], tuple[Any, ...], dict[str, Any]]:
         # In the stream, the call of `_begun` comes before the rest, and so before the imports that the rest causes.
@@ -44,14 +51,7 @@ class LoneWorkerProcess(WorkerProcess):
     It is a daemon, since it may be idle when its parent ends, which must not wait for it.
     """
 
-    def start(self) -> None:
-        self.daemon = True
-        program = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")
-        try:
-            super().start()
-        finally:
-            sys.modules["__main__"] = program
+    _lone = True
 
 
 class WorkerContext(SpawnContext):

@@ -119,8 +119,8 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
     The attribute ``entries`` holds this package's own rows and those that decorators have added; reading it starts no
     search. The places of the given rows begin with ``within``. If others may add things, ``make(place, takes=...)``
-    makes the row of a thing and its options, ``wanted`` says what a thing must be, and ``group`` is the group of
-    packages' entry points. ``further`` ends messages.
+    makes the row of a thing and its options, ``wanted`` says what it must be, and ``lieednn_sim.`` with ``plural`` is
+    the group of entry points. ``further`` ends messages.
     """
 
     def __init__(
@@ -131,14 +131,13 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         *,
         make: Callable[..., _Entry] | None = None,
         wanted: str = "",
-        group: str = "",
         further: str = "",
     ) -> None:
-        self.kind = kind
+        self.kind, self.plural = kind, f"{kind}s".replace("ys", "ies")
         placed = {name: replace(row, place=within + row.place) for name, row in entries.items() if within and row.place}
         self.entries = entries | placed
         self._further = further if make is None else "or one of your own as file.py:name"
-        self._make, self._wanted, self._group = make, wanted, group
+        self._make, self._wanted = make, wanted
         self._searched = make is None
 
     def __getitem__(self, name: str) -> _Entry:
@@ -161,12 +160,14 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return self[as_choice(self.kind, name, self, self._further)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
-        """Decorator that adds a thing; `InputError` if its name is taken or malformed, or it is not callable."""
+        """Decorator that adds a thing; `InputError` if its name is malformed or another's, or it is not callable."""
 
         def decorate(given: _Given) -> _Given:
             if not _NAME.fullmatch(name):
                 raise InputError(f"a {self.kind}'s name must be of a to z, digits and hyphens, got {name[:80]!r}")
-            if name in self.entries:
+            known = self.entries.get(name)
+            # A cell of a notebook that is run again, or a module that is reloaded, defines the same thing again.
+            if known and (known.own or _origin(known.place) != _origin(given)):
                 raise InputError(f"{self.kind} {name!r} is already registered; choose another name")
             self.entries[name] = self._row(name, given, options)
             return given
@@ -196,8 +197,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
     def origins(self, names: Iterable[str]) -> list[str]:
         """The origins of the named things that others have added, a line for each."""
-        added = [(name, self[name].place) for name in names if name in self and not self[name].own]
-        return [f"{self.kind} {name}: {it.__module__}.{getattr(it, '__qualname__', name)}" for name, it in added]
+        return [f"{self.kind} {n}: {_origin(self[n].place)}" for n in names if n in self and not self[n].own]
 
     def _all(self) -> dict[str, _Entry]:
         if self._searched:
@@ -205,7 +205,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         self._searched = True
         from importlib import metadata  # slow to import
 
-        for point in metadata.entry_points(group=self._group):
+        for point in metadata.entry_points(group=f"lieednn_sim.{self.plural}"):
             package = "unknown" if point.dist is None else point.dist.name
             try:
                 given = point.load()
@@ -216,6 +216,11 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
                 text = f"{self.kind} {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
                 warnings.warn(text, RuntimeWarning, stacklevel=4)
         return self.entries
+
+
+def _origin(given: Any) -> str:
+    """Where a thing is defined: module and name."""
+    return f"{getattr(given, '__module__', '')}.{getattr(given, '__qualname__', repr(given))}"
 
 
 def _of_file(what: str, path: str, name: str) -> Any:

@@ -36,7 +36,7 @@ class TooFastError(PlanError):
         duration: a duration that is long enough [s].
     """
 
-    def __init__(self, message: str, duration: float) -> None:
+    def __init__(self, message: str, duration: float = float("inf")) -> None:  # unpickled from its message alone
         super().__init__(message)
         self.duration = duration
 

@@ -27,12 +27,13 @@ def purpose(library: str) -> str:
 
 
 def optional_module(name: str) -> Any:
-    """Import a module of an optional library; `LieEDNNError`, which names the extra, if it is not installed."""
+    """Import a module of an optional library; `LieEDNNError`, which names the extra, if that is impossible."""
     try:
         return importlib.import_module(name)
-    except ImportError:
+    except ImportError as error:
         library = name.partition(".")[0]
-        raise LieEDNNError(f"{library} is not installed (for {purpose(library)}): {install_command(library)}") from None
+        why = "is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot be imported, since {error}"
+        raise LieEDNNError(f"{library} {why} (for {purpose(library)}): {install_command(library)}") from None
 
 
 _PLANNERS = {
@@ -85,7 +86,6 @@ PLANNERS = Registry(
     "planning.",
     make=partial(PlannerEntry, path_constraints=True),
     wanted="a function of a PlanningProblem",
-    group="lieednn_sim.planners",
 )
 
 _POLICIES = {
@@ -116,9 +116,7 @@ _POLICIES = {
 #: All policies by name: functions of a `PolicyTask`, and of their options if there are any, that make a `Policy`. After
 #: a reset a policy repeats itself to the bit, and it can be copied and pickled at any time. Its message is "moves", or
 #: "has ended" at the end of a motion; any other message says what keeps the policy from moving on.
-POLICIES = Registry(
-    "policy", _POLICIES, "policies.", make=Entry, wanted="a function of a PolicyTask", group="lieednn_sim.policies"
-)
+POLICIES = Registry("policy", _POLICIES, "policies.", make=Entry, wanted="a function of a PolicyTask")
 
 _CONTROLLERS = {
     "position-servo": Entry("base:PositionServo", "sends positions and velocities to the arm's position servos"),
@@ -146,7 +144,6 @@ CONTROLLERS = Registry(
     "simulation.controllers.",
     make=Entry,
     wanted="a Controller, or a function that makes one",
-    group="lieednn_sim.controllers",
 )
 
 _ARMS = {

@@ -193,9 +193,9 @@ def _is_real(value: object) -> bool:
 
 def _is_list(value: object) -> bool:
     """Whether a value is a sequence or another collection, except texts and mappings; arrays need at least one axis."""
-    if isinstance(value, np.ndarray):
-        return value.ndim > 0
-    return isinstance(value, Collection) and not isinstance(value, str | bytes | bytearray | Mapping)
+    if not isinstance(value, Collection) or isinstance(value, str | bytes | bytearray | Mapping):
+        return False
+    return getattr(value, "ndim", 1) > 0  # also of arrays of other libraries, whose length would raise
 
 
 _ANYTHING = _Hint("anything", lambda _: True)

@@ -39,7 +39,7 @@ def quoted(value: object) -> str:
         return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, list | tuple | set | frozenset | dict):
         return f"a {type(value).__name__} of {len(value)}"
-    text = repr(value)
+    text = repr(value).replace("\n", " ")
     return text if len(text) <= _QUOTED else f"{text[:_QUOTED]} ... ({len(text)} characters)"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 # All results depend on the packages; those of some planners also on the optional ones.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
-_version = cache(metadata.version)  # cached, since versions are read for every table and file
+_version = cache(lambda name: installed(name) or "unknown")  # cached, since it is read for every table and file
 
 
 def versions(*, optional: bool = False) -> dict[str, str]:

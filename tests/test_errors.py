@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -19,6 +22,17 @@ def test_each_error_is_of_one_kind():
     assert not issubclass(NoSolutionError, ValueError | OSError)
     assert issubclass(InputError, ValueError)
     assert issubclass(InputError, errors.LieEDNNError)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda error: pickle.loads(pickle.dumps(error))])
+def test_errors_come_back_from_other_processes(copied):
+    """One that cannot be unpickled breaks a pool of processes."""
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.LieEDNNError)]
+    others = [kind("why") for kind in kinds if kind is not errors.TooFastError]
+    for error in (errors.TooFastError("why", 2.0), *others):
+        error.add_note("a case")
+        again = copied(error)
+        assert (type(again), str(again), vars(again)) == (type(error), "why", vars(error))
 
 
 @pytest.mark.parametrize(

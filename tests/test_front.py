@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lieednn_sim as ls
+from lieednn_sim import versions
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import TrainingOptions, train
 
@@ -34,6 +35,12 @@ assert dict(os.environ) == before, set(os.environ.items()) ^ set(before.items())
     assert (done.returncode, done.stdout) == (0, "Arm\nhat Rollout telescopic_pr\n"), done.stderr
     with pytest.raises(AttributeError, match="no attribute 'plans'"):
         ls.plans  # noqa: B018
+
+
+def test_a_checkout_that_is_on_the_path_but_not_installed_has_no_version(monkeypatch):
+    monkeypatch.setattr(versions, "_version", versions._version.__wrapped__)
+    monkeypatch.setattr(versions, "installed", {"mujoco": "3.17.0", "numpy": "2.4", "scipy": "1.17"}.get)
+    assert versions.versions()["lieednn_sim"] == ls.__version__ == "unknown"
 
 
 def test_a_keyframe_is_a_configuration_wherever_one_is_given():

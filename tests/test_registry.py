@@ -52,10 +52,13 @@ def test_what_is_not_installed_is_named_with_its_extra_and_what_else_there_is(mo
     assert registry.purpose("pyarrow") == "format lerobot"
     with pytest.raises(LieEDNNError, match=r"ompl is not installed \(for planners rrt-connect, .*\): pip install"):
         registry.optional_module("ompl.nowhere")
+    monkeypatch.setattr(registry.importlib, "import_module", lambda _: exec("raise ImportError('no libboost.so')"))
+    with pytest.raises(LieEDNNError, match=r"ompl cannot be imported, since no libboost.so \(for .*\): pip"):
+        registry.optional_module("ompl.geometric")
 
 
 def test_things_of_others_come_with_their_options_and_where_they_are_from():
-    kind = Registry("thing", {}, make=Entry, wanted="a function", group="lieednn_sim.things")
+    kind = Registry("thing", {}, make=Entry, wanted="a function")
 
     class Options: ...
 
@@ -68,8 +71,22 @@ def test_things_of_others_come_with_their_options_and_where_they_are_from():
         kind.register("other")(3)
 
 
+def test_a_thing_that_is_defined_again_takes_the_place_of_the_first_one_and_no_other_does():
+    """As by a cell of a notebook that is run again."""
+    kind, cell = (
+        Registry("thing", {"ours": Entry("where:it")}, make=Entry, wanted="a function"),
+        "def thing(): return {}",
+    )
+    for value in (1, 2):
+        exec(cell.format(value), notebook := {"__name__": "__main__"})
+        assert kind.register("mine")(notebook["thing"])() == kind["mine"].load()() == value
+    for name, other in (("mine", lambda: 3), ("mine", 3), ("ours", lambda: 3)):
+        with pytest.raises(InputError, match=f"thing '{name}' is already registered; choose another name"):
+            kind.register(name)(other)
+
+
 def test_a_thing_of_a_file_is_run_only_when_it_is_named_and_says_what_is_wrong(tmp_path, monkeypatch):
-    kind = Registry("thing", {}, make=Entry, wanted="a function", group="lieednn_sim.things")
+    kind = Registry("thing", {}, make=Entry, wanted="a function")
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "beside_mine.py").write_text("VALUE = 7\n")
     mine = tmp_path / "things-of-mine.py"

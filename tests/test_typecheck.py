@@ -33,6 +33,20 @@ class Options(TypedDict, total=False):
     flag: bool
 
 
+class Scalar:
+    """As the arrays without axes of other libraries than NumPy."""
+
+    ndim = 0
+
+    def __len__(self):
+        raise TypeError("len() of unsized object")
+
+    __iter__ = __contains__ = __len__
+
+    def __repr__(self):
+        return "Scalar(\n1.0)"
+
+
 def every_kind(
     number: float = 0.0,
     count: int | None = None,
@@ -85,6 +99,7 @@ def test_what_works_without_the_check_works_with_it(given):
         ({"names": ["a"] * 9 + [3]}, "names[9] must be a string, got 3"),
         ({"sizes": [1, 2.5]}, "sizes[1] must be a whole number, got 2.5"),
         ({"pair": (1.0,)}, "pair must be a tuple of 2, each item a number, got a tuple of 1"),
+        ({"pair": Scalar()}, "pair must be a tuple of 2, each item a number, got Scalar( 1.0)"),
         ({"table": {"a": "b"}}, "table['a'] must be a number, got 'b'"),
         ({"table": {3: 1.0}}, "table: its keys must be a string, got 3"),
         ({"table": [1]}, "table must be a dictionary, got a list of 1"),

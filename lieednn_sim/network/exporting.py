@@ -124,8 +124,8 @@ def c_header(
 
 
 def _comment(text: str) -> str:
-    """A text that cannot end the comment that it is in."""
-    return " ".join(text.replace("*/", "* /").split())
+    """A text that neither ends the comment that it is in nor seems to begin another, which compilers warn of."""
+    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").split())
 
 
 def _number(value: object) -> str:

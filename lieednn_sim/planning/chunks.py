@@ -69,7 +69,7 @@ def read(
         if hasattr(chunk, "as_matrix"):
             kind, q = "reach", near
             chunk = np.array([q := solve_ik(arm, pose.translation, pose.rotation, start=q) for pose in chunk])
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(chunk) <= MOST_TARGETS else "shape"
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= np.shape(chunk)[0] <= MOST_TARGETS else "shape"
         targets = as_floats("chunk", chunk, ("H", n))
         if arm.continuous.any():  # models often learn turns within half a turn of zero
             targets = np.array([near := arm.nearest_turn(row, near) for row in targets])

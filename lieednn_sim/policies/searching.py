@@ -90,9 +90,5 @@ def _take(arm: bytes) -> None:
 
 
 def _call(search: Callable[..., _T], *arguments: Any) -> _T:
-    try:
-        with one_blas_thread():
-            return search(_ARM, *arguments)
-    except LieEDNNError as error:
-        # Not all errors can be pickled.
-        raise PlanError(str(error)) from None
+    with one_blas_thread():
+        return search(_ARM, *arguments)

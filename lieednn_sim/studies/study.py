@@ -28,6 +28,7 @@ from lieednn_sim.validation import as_workers
 from lieednn_sim.values import StrPath
 
 _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
+_Entry = tuple[int, str, str]  # of a user: see `_of_users`
 
 
 class Study(ABC, Generic[R]):
@@ -93,7 +94,8 @@ def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Cons
             rows = study.failed(*case, reason)
         table.add(rows)
 
-    run_each(run, todo, add, workers=workers)
+    chosen = {name for kind in _OF_USERS for name in getattr(study, kind.plural, ())}
+    run_each(run, todo, add, workers=workers, needed=tuple(it for it in _of_users() if it[1] in chosen))
     return table
 
 
@@ -101,12 +103,14 @@ def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Cons
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes, which are stopped at once when the block fails or is interrupted.
 
-    None of them survives the block, however it ends; other children of this process are left alone.
+    None of them survives the block; other children of this process are left alone. `LieEDNNError` if it may have none.
     """
     if sys.platform == "win32":
         workers = min(workers, 61)  # the most that a pool can have there
+    if multiprocessing.current_process().daemon:
+        raise LieEDNNError("a daemonic process, such as one of multiprocessing.Pool, can start no workers: use one job")
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=WorkerContext(), initializer=_prepare_worker, initargs=_added())
+    pool = ProcessPoolExecutor(workers, mp_context=WorkerContext(), initializer=_prepare_worker, initargs=_of_users())
     try:
         yield pool
     except BaseException:
@@ -125,14 +129,18 @@ def run_each(
     done: Callable[[tuple[Any, ...], Any, Exception | None], None],
     *,
     workers: int,
+    needed: tuple[_Entry, ...] = (),
 ) -> None:
     """Run tasks on worker processes, or in this process where one is enough; `LieEDNNError` if a worker died.
 
     ``todo`` holds the arguments of each task. When one ends, in any order, ``done`` is called in this process with its
     arguments, its result and its exception, and progress is reported (`budget.reporting`). All must be picklable.
+    ``needed`` are entries of users that workers must find.
     """
     workers = min(workers, len(todo))
     with worker_pool(workers) if workers > 1 else contextlib.nullcontext() as pool:
+        if pool and needed and (lacking := next(_on_workers(pool, _unknown, [needed] * workers, workers))[1]):
+            raise LieEDNNError(f"workers do not find {', '.join(lacking)}: give it as file.py:name, or use one job")
         ended = _here(run, todo) if pool is None else _on_workers(pool, run, todo, 2 * workers)
         for count, outcome in enumerate(ended, 1):
             done(*outcome)
@@ -176,18 +184,18 @@ def _on_workers(
         ) from None
 
 
-def _added() -> tuple[list[str], list[tuple[int, str]]]:
-    """Modules of users' entries, which workers must import; and entries called ``file.py:thing``, by kinds' indices."""
-    entries = [entry for kind in _OF_USERS for entry in kind.entries.values()]
-    modules = sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
-    return modules, [(k, name) for k, kind in enumerate(_OF_USERS) for name in kind.entries if ":" in name]
+def _of_users() -> tuple[_Entry, ...]:
+    """Entries that users have added: indices of their kinds, their names, and modules for workers to import."""
+    entries = ((k, *item) for k, kind in enumerate(_OF_USERS) for item in kind.entries.items())
+    return tuple((k, name, str(entry.place.__module__)) for k, name, entry in entries if not entry.own)
 
 
-def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) -> None:
-    # Errors are ignored here: the rows report what is missing.
-    for name in modules:
+def _prepare_worker(*entries: _Entry) -> None:
+    for kind, name, module in entries:
+        # Errors are ignored here: `_unknown`, or the rows, report what is missing.
         with contextlib.suppress(Exception):
-            importlib.import_module(name)
-    for kind, name in files:
-        with contextlib.suppress(Exception):
-            _OF_USERS[kind].find(name)
+            _OF_USERS[kind].find(name) if ":" in name else importlib.import_module(module)
+
+
+def _unknown(*entries: _Entry) -> list[str]:
+    return [f"{_OF_USERS[kind].kind} {name!r}" for kind, name, _ in entries if name not in _OF_USERS[kind]]

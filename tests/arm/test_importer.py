@@ -3,6 +3,8 @@
 import functools
 import os
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -391,6 +393,18 @@ def test_missing_and_broken_files_are_named(tmp_path):
         Arm.load(other)
     with pytest.raises(InputError, match="spec must be a MjSpec of mujoco, got 3"):
         Arm.from_spec(3)
+
+
+def test_a_path_with_accents_is_found_in_every_locale(tmp_path):
+    """Python's paths are bytes there, in UTF-8 or not."""
+    folder = tmp_path / "é"
+    folder.mkdir()
+    (folder / "arm.xml").write_text(BALL.replace("ACTIVE", ""))
+    code = "import sys, lieednn_sim as ls; print(ascii(sys.argv[1][-10:]), ls.Arm.load(sys.argv[1]).n_joints)"
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-c", code, folder / "arm.xml"]
+    done = subprocess.run(command, env=os.environ | locale, capture_output=True, text=True, check=False)
+    assert done.stdout == "'\\udcc3\\udca9/arm.xml' 4\n", done.stderr
 
 
 def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names(monkeypatch):

@@ -89,6 +89,11 @@ def test_a_source_gives_chunks_while_an_arm_follows(gantry):
     np.testing.assert_allclose([measured for _, measured in seen], swing(0.01 * np.arange(201)), atol=2e-3)
 
 
+def test_what_numpy_takes_as_an_array_is_a_chunk(gantry):
+    chunk = type("Chunk", (), {"__array__": lambda *_, **__: swing(0.02 * np.arange(50))})()
+    assert str(made(gantry).accept(chunk, 0.0, 0.02)) == "accepted"
+
+
 def test_a_long_chunk_is_coded_piece_by_piece(gantry):
     """Of 6.3 s, more than one code can hold."""
     policy = made(gantry)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+import shutil
 import subprocess
 import time
 from dataclasses import replace
@@ -330,6 +331,43 @@ def test_joints_that_come_to_a_limit_too_fast_brake_as_in_the_loop(tmp_path):
         sent.towards(*wished)
         code.go(address(memory), *map(address, wished))
         np.testing.assert_allclose(memory[: 2 * n], [*sent.q, *sent.qd], rtol=0.0, atol=1e-9)
+
+
+TURNERS = """<mujoco><compiler angle="radian"/><worldbody><site name="base_frame"/><body>
+  <joint name="/*int" axis="0 0 1" range="-1 1" damping="1"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+  <body pos="0.3 0 0"><joint name="*/" axis="0 1 0" range="-1 1" damping="1"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/></body></body></worldbody></mujoco>"""
+WRAPPED = """#define LIEEDNN_API static inline
+#include "{0}/lieednn.c"
+#include "{0}/policy.c"
+#ifdef __cplusplus
+extern "C"
+#endif
+unsigned {0}_begin(policy *p, const double *q);
+unsigned {0}_begin(policy *p, const double *q) {{ return policy_start(p, q) ? 0 : POLICY_JOINTS; }}
+"""
+
+
+@compiled
+@pytest.mark.parametrize("language", ["c", "c++"])
+def test_two_arms_are_in_one_program_of_c_or_cpp_without_a_warning(language, tmp_path):
+    """Those of few joints, and with odd names, too. C and C++ call each other's functions."""
+    if language == "c++" and not shutil.which("c++"):
+        pytest.skip("there is no C++ compiler")
+    (tmp_path / "turners.xml").write_text(TURNERS)
+    arms = {"left": Arm.load(tmp_path / "turners.xml"), "right": Arm.load("telescopic_pr")}
+    for name, arm in arms.items():
+        make_policy("linear-attractor", arm, arm.keyframe("home"), rate=100.0).to_c(tmp_path / name)
+        (tmp_path / f"{name}.c").write_text(WRAPPED.format(name))
+    compiler = [COMPILER, *FLAGS] if language == "c" else ["c++", "-x", "c++", *FLAGS[2:]]
+    for program in ([tmp_path / "left.c", tmp_path / "right.c"], sorted((tmp_path / "left").glob("*.c"))):
+        made = tmp_path / f"{program[0].stem}.so"
+        subprocess.run([*compiler, "-O0", "-shared", "-fPIC", *program, "-o", made, "-lm"], check=True)
+    both, alone = ctypes.CDLL(str(tmp_path / "left.so")), ctypes.CDLL(str(tmp_path / "lieednn.so"))
+    for name, arm in arms.items():
+        memory = np.zeros(100_000)
+        assert both[f"{name}_begin"](address(memory), address(arm.keyframe("home"))) == arm.n_joints
+    assert alone.policy_start(address(memory), address(np.zeros(2))) == 0
 
 
 def test_what_has_no_c_code_is_refused(tmp_path):

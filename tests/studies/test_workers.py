@@ -8,15 +8,18 @@ import operator
 import os
 import pickle
 import signal
+import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
 
-from lieednn_sim.entries import Entry
+from lieednn_sim.entries import Entry, PlannerEntry
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
+from lieednn_sim.studies import compare
 from lieednn_sim.studies import study as workers
+from lieednn_sim.studies.comparison.study import Comparison
 from lieednn_sim.studies.study import run_each, worker_pool
 
 
@@ -24,7 +27,16 @@ def test_workers_import_the_modules_of_ones_own_planners_policies_and_controller
     for number, kind in enumerate((PLANNERS, POLICIES, CONTROLLERS)):
         made = type("Mine", (), {"__module__": f"mine_{number}"})
         monkeypatch.setitem(kind.entries, "mine", Entry(made))
-    assert {"mine_0", "mine_1", "mine_2"} <= set(workers._added()[0])
+    assert {(number, "mine", f"mine_{number}") for number in range(3)} <= set(workers._of_users())
+
+
+def test_what_workers_cannot_find_is_named_before_the_work(tmp_path, monkeypatch):
+    """As a planner of a notebook; the table would keep its failures."""
+    monkeypatch.setattr(workers, "worker_pool", lambda _: worker_pool(1))
+    monkeypatch.setitem(PLANNERS.entries, "mine", PlannerEntry(type("Mine", (), {"__module__": "__main__"})))
+    with pytest.raises(LieEDNNError, match=r"workers do not find planner 'mine': give it as file\.py:name, or use one"):
+        compare(tmp_path, planners=["mine", "dmp"], arms=["telescopic_pr"], scenes=["free"], seeds=1, jobs=2)
+    assert not Comparison.read(tmp_path).rows
 
 
 def test_workers_run_the_files_of_ones_own_planners(tmp_path, monkeypatch):
@@ -110,3 +122,20 @@ def test_a_task_that_ends_at_the_same_time_counts_before_a_worker_that_dies(monk
     with pytest.raises(LieEDNNError, match="a worker process died"):
         run_each(abs, [(0,), (-1,)], lambda *it: kept.append(it), workers=2)
     assert kept == [((-1,), 1, None)]
+
+
+def test_a_program_from_the_standard_input_starts_workers():
+    program = """if True:
+        from lieednn_sim.studies import study
+        study._prepare_worker = print  # as above
+        study.run_each(abs, [(-1,), (-2,)], lambda task, result, _: print(task, result), workers=2)
+        print(__import__("__main__").study is study)
+    """
+    done = subprocess.run([sys.executable, "-"], input=program, capture_output=True, text=True, check=False)
+    assert sorted(filter(None, done.stdout.splitlines())) == ["(-1,) 1", "(-2,) 2", "True"], done.stderr
+
+
+def test_a_daemonic_process_is_told_that_it_can_start_no_workers(monkeypatch):
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    with pytest.raises(LieEDNNError, match=r"a daemonic process, .* can start no workers: use one job"):
+        run_each(abs, [(-1,), (-2,)], print, workers=2)

@@ -67,11 +67,12 @@ def read_model(source: Path) -> mujoco.MjSpec:
         raise FileError(f"no such file: {source}")
     check_size(source)
     try:
-        return _with_all_meshes(mujoco.MjSpec.from_file(str(source.absolute())), source)
+        # To MuJoCo, paths are in UTF-8, whatever the locale.
+        return _with_all_meshes(mujoco.MjSpec.from_file(os.fsencode(source.absolute()).decode()), source)
+    except UnicodeError:
+        raise FileError(f"MuJoCo reads no file with bytes in its path that are not UTF-8: {str(source)!r}") from None
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
-    except TypeError:
-        raise FileError(f"MuJoCo reads no file with bytes in its path that are not UTF-8: {str(source)!r}") from None
 
 
 def _with_all_meshes(spec: mujoco.MjSpec, source: Path) -> mujoco.MjSpec:

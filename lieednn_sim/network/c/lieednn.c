@@ -13,14 +13,14 @@ static void add_inputs(const double x[LIEEDNN_SIZE], double sum[LIEEDNN_SIZE], d
     }
 }
 
-void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE])
+LIEEDNN_API void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE])
 {
     for (int i = 0; i < LIEEDNN_SIZE; i++)
         rate[i] = net->bias[i] - LIEEDNN_GAMMA * x[i];
     add_inputs(x, rate, 1.0);
 }
 
-void lieednn_step(lieednn *net, double h)
+LIEEDNN_API void lieednn_step(lieednn *net, double h)
 {
     static const double part[4] = {0.0, 0.5, 0.5, 1.0}, share[4] = {1.0, 2.0, 2.0, 1.0};
     double *at = net->work[0], *rate = net->work[1], *sum = net->work[2], *end = net->work[3];
@@ -38,14 +38,14 @@ void lieednn_step(lieednn *net, double h)
     memcpy(net->x, end, sizeof net->x);
 }
 
-void lieednn_init(lieednn *net)
+LIEEDNN_API void lieednn_init(lieednn *net)
 {
     memset(net, 0, sizeof *net);
     memcpy(net->bias, bias, sizeof bias);
     memcpy(net->target, rest, sizeof net->target);
 }
 
-void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE])
+LIEEDNN_API void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE])
 {
     memcpy(net->x, visible, sizeof net->target);
 #if LIEEDNN_HIDDEN
@@ -62,7 +62,7 @@ void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE])
 #endif
 }
 
-void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE])
+LIEEDNN_API void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE])
 {
     double *goal = net->work[0], *pull = net->work[1];
     memcpy(goal, rest, sizeof rest);

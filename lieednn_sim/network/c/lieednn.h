@@ -6,6 +6,16 @@
 
 #include "lieednn_numbers.h"
 
+/* Before each function. A program with several networks has a file for each: it defines this as `static inline`,
+   includes lieednn.c, and policy.c if there is one, and has functions of other names that call these. */
+#ifndef LIEEDNN_API
+#define LIEEDNN_API
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef struct {
     double x[LIEEDNN_SIZE]; /* state */
     double bias[LIEEDNN_SIZE]; /* mu b, which holds the target */
@@ -14,18 +24,22 @@ typedef struct {
 } lieednn;
 
 /* The network at the target that it was exported with. Call lieednn_start next. */
-void lieednn_init(lieednn *net);
+LIEEDNN_API void lieednn_init(lieednn *net);
 
 /* Begin a motion with the visible neurons at the given state; hidden ones start where their law says. */
-void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE]);
+LIEEDNN_API void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE]);
 
 /* Another target, under the same proof; a motion under way goes on to it. */
-void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE]);
+LIEEDNN_API void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE]);
 
 /* The rate of a state, per unit of the network's time. */
-void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE]);
+LIEEDNN_API void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE]);
 
 /* One step of the classical Runge-Kutta method, h in the network's time. */
-void lieednn_step(lieednn *net, double h);
+LIEEDNN_API void lieednn_step(lieednn *net, double h);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

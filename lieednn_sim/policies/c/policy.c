@@ -199,7 +199,10 @@ static void decode(const double x[SEEN], const double flow[SEEN], double q[N], d
 static void limit(double q[N])
 {
     for (int i = 0; i < N; i++) {
-        const double angle = ball[i] ? sqrt(dot(q + i, q + i)) : 0.0;
+        double square = 0.0;
+        for (int k = i; ball[i] && k < i + 3; k++)
+            square += q[k] * q[k];
+        const double angle = sqrt(square);
         for (int k = i; ball[i] && angle > high[i] && k < i + 3; k++)
             q[k] *= (1.0 - 1e-15) * high[i] / angle;
         q[i] = fmin(fmax(q[i], low[i]), high[i]);
@@ -366,7 +369,7 @@ static unsigned act(policy *p, const double *measured)
     return fraction < 1.0 ? POLICY_LIMITED : 0;
 }
 
-unsigned policy_start(policy *p, const double q[N])
+LIEEDNN_API unsigned policy_start(policy *p, const double q[N])
 {
     double xi[SEEN];
     memset(p, 0, sizeof *p);
@@ -386,7 +389,7 @@ unsigned policy_start(policy *p, const double q[N])
     return 0;
 }
 
-void policy_stop(policy *p)
+LIEEDNN_API void policy_stop(policy *p)
 {
     if (p->braking || !p->started)
         return;
@@ -443,7 +446,7 @@ static unsigned faults(policy *p, const double *measured)
     return p->same > POLICY_MAX_STALE && moved > POLICY_STALE_WAY ? POLICY_STALE : 0;
 }
 
-unsigned policy_step(policy *p, const double *measured, const double *target)
+LIEEDNN_API unsigned policy_step(policy *p, const double *measured, const double *target)
 {
     unsigned status = 0;
     if (!p->started)

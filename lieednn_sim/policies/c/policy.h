@@ -50,14 +50,22 @@ typedef struct {
     double from[POLICY_JOINTS], rate[POLICY_JOINTS], end[POLICY_JOINTS], needed; /* way of braking, its time [s] */
 } policy;
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Begin at rest where the joints are: 0; or POLICY_REFUSED. */
-unsigned policy_start(policy *p, const double q[POLICY_JOINTS]);
+LIEEDNN_API unsigned policy_start(policy *p, const double q[POLICY_JOINTS]);
 
 /* The reference for the end of the period that begins now, in p->q and p->qd, and the status. Both arguments may be
    NULL: nothing was measured; the target is the last one. */
-unsigned policy_step(policy *p, const double *measured, const double *target);
+LIEEDNN_API unsigned policy_step(policy *p, const double *measured, const double *target);
 
 /* From the next step on brake, straight ahead and within the limits of acceleration, whatever is measured or wanted. */
-void policy_stop(policy *p);
+LIEEDNN_API void policy_stop(policy *p);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -96,10 +96,9 @@ class Comparison(Study[Row]):
 
     def __post_init__(self) -> None:
         user_files = list(self.user_files)
-        for value in self.planners:
-            PLANNERS.find(value)  # which adds those of files
-        for value in self.controllers:
-            CONTROLLERS.find(value)
+        for registry in (PLANNERS, CONTROLLERS):
+            for value in getattr(self, registry.plural):
+                registry.find(value)  # which adds those of files
         for name, known, default in (
             ("planners", list(PLANNERS), list(PLANNERS)),
             ("arms", arm_names(), list(DEFAULT_ARMS)),
