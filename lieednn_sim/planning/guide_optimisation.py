@@ -8,7 +8,7 @@ minimum jerk, and the least distance d from everything on the way, the measure i
 
     log(J + E) + beta log(F) - kappa (log(d) - d_0 / d),
 
-where d counts up to 70 mm and to its value at start and target, which no motion exceeds. The measure is minimised by
+where d counts up to 80 mm and to its value at start and target, which no motion exceeds. The measure is minimised by
 sequential quadratic programming: at every step MuJoCo's contacts give the distances of all pairs and their gradients, a
 quadratic program in C and d is solved within a trust region, with a Gauss-Newton model of F, and steps that lower the
 measure are kept.
@@ -37,8 +37,8 @@ from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which its term is continued by a steep line, so that contact is left first
 _NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as much as far away
-_EFFECTOR = 0.1  # beta, the weight of the end effector's jerk
-_AMPLE = 0.07  # largest clearance that counts [m]; more would cost jerk
+_EFFECTOR = 0.5  # beta, the weight of the end effector's jerk
+_AMPLE = 0.08  # largest clearance that counts [m]; more would cost jerk
 _SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
 # Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
 # takes cubic time. If more are broken, as when whole links are inside obstacles, only the deepest count.

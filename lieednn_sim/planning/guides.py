@@ -52,7 +52,7 @@ class GuideOptions(PlannerOptions):
     """
 
     optimised: bool = True
-    clearance_weight: float = 0.15
+    clearance_weight: float = 0.5
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
     margin: float = 0.01
@@ -144,7 +144,8 @@ class _Search:
             self.problem,
             self.edges.swept / self.edges.scale,
             self.ends,
-            weight=self.options.clearance_weight,
+            # In a region jerk and length alone are weighed against clearance.
+            weight=(0.3 if self.constrained else 1.0) * self.options.clearance_weight,
             intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
