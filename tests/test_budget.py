@@ -216,15 +216,15 @@ def test_one_network_is_drawn_first_and_the_others_where_it_cannot_be_used(monke
     assert np.abs(weak.network.bias).max() == pytest.approx(0.25)
     real = certified._plan
 
-    def refused(problem, options, networks, drawn):
+    def refused(problem, networks, drawn):
         if drawn == 1:
             raise PlanError("not this one")
-        return real(problem, options, networks, drawn)
+        return real(problem, networks, drawn)
 
     monkeypatch.setattr(certified, "_plan", refused)
     others = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=5))
     assert others.details.n_networks == 5
-    monkeypatch.setattr(certified, "_plan", lambda *_: refused(*_[:3], 1))
+    monkeypatch.setattr(certified, "_plan", lambda *_: refused(*_[:2], 1))
     with pytest.raises(PlanError, match="not this one"):
         plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))
 
