@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -53,7 +54,8 @@ def test_the_tables_of_loads_that_swing_go_on_where_they_were(tmp_path, monkeypa
     assert (calm[0], calm[2], calm[3], calm[8]) == ("lieednn-shaped", "1 of 1", "8", "1")
     assert float(calm[5]) < 0.05 < 0.15 < float(plain[5])
     assert "| minimum-jerk | none | 0 of 1 | - |" in table
-    assert f"in 1 of 1 plans. The median ratio is {float(calm[4]) / float(ei[4]):.2g}." in table
+    (ratio,) = re.findall(r"in 1 of 1 plans. The median ratio is (\S+)\.$", table, re.MULTILINE)
+    assert float(ratio) == pytest.approx(float(calm[4]) / float(ei[4]), rel=0.05)
     (varied,) = [row for row in rows if row[:2] == ["crane", "least-energy"]]
     assert float(varied[2]) == pytest.approx(float(calm[5]), abs=1e-3)
     assert all(0.0 < float(value) < 0.1 for value in varied[2:])

@@ -126,7 +126,9 @@ def test_what_has_no_fastest_motion_is_refused(gantry, monkeypatch):
         retime(arm, motion)
     # What does not move needs none.
     assert retime(straight(gantry, acceleration=[np.inf, 20.0, 40.0, 80.0])[0], motion).t[-1] < 0.6
-    monkeypatch.setattr(registry.importlib, "import_module", lambda name: (_ for _ in ()).throw(ModuleNotFoundError(name)))
+    monkeypatch.setattr(
+        registry.importlib, "import_module", lambda name: (_ for _ in ()).throw(ModuleNotFoundError(name))
+    )
     with pytest.raises(LieEDNNError, match=r"toppra is not installed \(.*\): pip install 'lieednn_sim\[timing\]'"):
         retime(gantry, motion)
 
