@@ -13,8 +13,9 @@ sequential quadratic programming: at every step MuJoCo's contacts give the dista
 quadratic program in C and d is solved within a trust region, with a Gauss-Newton model of F, and steps that lower the
 measure are kept.
 
-If the end effector is to stay in a region, beta and d_0 are 0, the program also has the region's linearised bounds at a
-few instants, and the measure a penalty for leaving the region. The final motion's samples are projected onto it.
+In a rough descent beta is 0, and 0.3 of kappa counts; so it is if the end effector is to stay in a region. Then d_0 is
+0, too, the program also has the region's linearised bounds at a few instants, and the measure a penalty for leaving the
+region. The final motion's samples are projected onto it.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from lieednn_sim.values import Floats
 _TOUCHING = 2.5e-3  # clearance [m] below which its term is continued by a steep line, so that contact is left first
 _NEAR = 0.005  # d_0 [m]: at this clearance, gains in clearance count twice as much as far away
 _EFFECTOR = 0.5  # beta, the weight of the end effector's jerk
+_ALONE = 0.3  # the part of kappa that counts where F does not
 _AMPLE = 0.08  # largest clearance that counts [m]; more would cost jerk
 _SHORT = 0.05  # path length of the end effector [m] whose jerk is added to F, so that shorter ways count little
 # Largest number of bounds on distances that are broken where a step begins: the solver activates all of them, which
@@ -146,24 +148,28 @@ class GuideOptimisation:
         control = self._control(free)
         return float(np.sum(control * (self._quadratic @ control)))
 
-    def measure(self, free: Floats, clearance: float, effector: float) -> float:
-        """The measure of a motion with this clearance [m] and F."""
+    def measure(self, free: Floats, clearance: float, effector: float | None) -> float:
+        """The measure of a motion with this clearance [m] and F; None if F does not count."""
         far = min(max(clearance, _TOUCHING), self._enough)
         away = math.log(far) - self._near / far
         away -= (1.0 + self._near / _TOUCHING) * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
-        smooth = math.log(self.cost(free)) + _EFFECTOR * math.log(effector)
-        return smooth - self._weight * away + 30.0 * self._beyond(free)
+        smooth = math.log(self.cost(free)) + (_EFFECTOR * math.log(effector) if effector else 0.0)
+        return smooth - self._weight_beside(effector) * away + 30.0 * self._beyond(free)
+
+    def _weight_beside(self, effector: object) -> float:
+        """Kappa, or a part of it beside J and E alone, without F."""
+        return self._weight if effector else _ALONE * self._weight
 
     def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
         """The measure, the control points, and whether these are usable, after up to so many steps from a guess."""
         kept = self._problem.path_constraint is not None
         # A rough descent uses a third of the instants, and no F. Large steps would leave a region that is kept.
         every, enough, wider = (1, 1e-3, 1.5) if kept else (3, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
-        jerk_of = self._effector_jerk if not (rough or kept) else lambda _: (1.0, np.zeros(1), np.zeros(1))
+        jerk_of = self._effector_jerk if not (rough or kept) else lambda _: None
         distances, jerk = self._distances(free, every), jerk_of(free)
         # The trust region is the largest distance that a joint may move a link [m].
         clearance, trust = distances[1].min(initial=self._enough), 0.1
-        measure = self.measure(free, clearance, jerk[0])
+        measure = self.measure(free, clearance, jerk and jerk[0])
         for _ in range(steps):
             check_time()
             new, gain = self._step(free, distances, jerk, clearance, trust)
@@ -171,7 +177,7 @@ class GuideOptimisation:
                 break
             ahead, smooth = self._distances(new, every), jerk_of(new)
             near = ahead[1].min(initial=self._enough)
-            lower = self.measure(new, near, smooth[0])
+            lower = self.measure(new, near, smooth and smooth[0])
             if lower < measure:
                 gain = measure - lower
                 free, distances, jerk, clearance, measure = new, ahead, smooth, near, lower
@@ -237,7 +243,7 @@ class GuideOptimisation:
         return every * instant, distance, slope * self._scale
 
     def _step(
-        self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats], clearance: float, trust: float
+        self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats] | None, clearance: float, trust: float
     ) -> tuple[Floats, float]:
         """The control points after the quadratic program's step in the trust region, and the gain that it expects."""
         n, count = free.shape[1], len(free)
@@ -252,11 +258,13 @@ class GuideOptimisation:
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
         cost, near_by = self.cost(free), self._near / known
-        value, share = self._weight * cost / 2.0, _EFFECTOR * cost / jerk[0]
-        hessian = self._program.copy()
-        hessian[:-1, :-1] += share * jerk[2]
+        value, hessian = self._weight_beside(jerk) * cost / 2.0, self._program.copy()
         hessian[-1, -1] = (1.0 + 2.0 * near_by) * value
-        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel() + share * jerk[1]
+        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel()
+        if jerk is not None:
+            share = _EFFECTOR * cost / jerk[0]
+            hessian[:-1, :-1] += share * jerk[2]
+            pull += share * jerk[1]
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)

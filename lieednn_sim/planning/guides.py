@@ -61,7 +61,7 @@ class GuideOptions(PlannerOptions):
     shortcuts: int = 20
     intervals: int = field(default=8, metadata={"range": (2, 1000)})
     instants: int = field(default=96, metadata={"range": (1, 10_000)})
-    steps: int = 12
+    steps: int = 24
     search: RrtConnectOptions = field(default=RrtConnectOptions())
 
 
@@ -144,8 +144,7 @@ class _Search:
             self.problem,
             self.edges.swept / self.edges.scale,
             self.ends,
-            # In a region jerk and length alone are weighed against clearance.
-            weight=(0.3 if self.constrained else 1.0) * self.options.clearance_weight,
+            weight=self.options.clearance_weight,
             intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
