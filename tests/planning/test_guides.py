@@ -18,7 +18,7 @@ from lieednn_sim.planning.baselines.interpolation import minimum_jerk
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.guides import followed, shortened
 from lieednn_sim.planning.joint_space import sweeps
-from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.motion import check_motion, travelled
 
 from .arms import coarse
 
@@ -195,6 +195,14 @@ def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch)
     for order in (given, given[::-1]):
         monkeypatch.setattr(guides._Search, "optimised", lambda _, order=order: iter(order))
         np.testing.assert_array_equal(best_guide(poles, GuideOptions()).motion.q, better.q)
+
+
+def test_no_longer_way_is_chosen_for_its_clearance(monkeypatch):
+    problem, lengths = problem_of("poles", 31), []
+    for part in (guide_optimisation._ALONE, 1.0):
+        monkeypatch.setattr(guide_optimisation, "_ALONE", part)
+        lengths.append(travelled(best_guide(problem, GuideOptions()).motion.q / problem.arm.ranges)[-1])
+    assert lengths[0] < 1.0 < 1.2 < lengths[1]
 
 
 def test_a_guide_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_ompl):
