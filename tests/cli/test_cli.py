@@ -164,8 +164,11 @@ def test_interrupting_leaves_complete_files_only(tmp_path, capsys, monkeypatch, 
                 signal.raise_signal(number)
 
     monkeypatch.setattr(plots, "plot_joints", interrupted)
-    directory = tmp_path / "demo"
-    assert main(["demo", "--no-video", "--no-page", "--output", str(directory), *FAST]) == code
+    directory, hangup = tmp_path / "demo", signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which `nohup` ignores
+    try:
+        assert main(["demo", "--no-video", "--no-page", "--output", str(directory), *FAST]) == code
+    finally:
+        signal.signal(signal.SIGHUP, hangup)
     printed, message = capsys.readouterr()
     assert message == "lieednn-sim: interrupted; files already reported are complete\n"
     left = {"task.json", "network.npz", "motion.npz", "rollout.npz"}
