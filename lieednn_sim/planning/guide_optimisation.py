@@ -48,6 +48,8 @@ _DEEPEST = 600
 
 # Instants ``(C,)`` of near pairs, their distances [m], and slopes ``(C, n)`` of these in units of the ranges.
 _Near = tuple[NDArray[np.int_], Floats, Floats]
+# F, and half its gradient and half its Gauss-Newton Hessian in the free points; None where F does not count.
+_Effector = tuple[float, Floats, Floats] | None
 
 
 class GuideOptimisation:
@@ -148,15 +150,15 @@ class GuideOptimisation:
         control = self._control(free)
         return float(np.sum(control * (self._quadratic @ control)))
 
-    def measure(self, free: Floats, clearance: float, effector: float | None) -> float:
-        """The measure of a motion with this clearance [m] and F; None if F does not count."""
+    def measure(self, free: Floats, clearance: float, effector: _Effector) -> float:
+        """The measure of a motion with this clearance [m] and F."""
         far = min(max(clearance, _TOUCHING), self._enough)
         away = math.log(far) - self._near / far
         away -= (1.0 + self._near / _TOUCHING) * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
-        smooth = math.log(self.cost(free)) + (_EFFECTOR * math.log(effector) if effector else 0.0)
+        smooth = math.log(self.cost(free)) + (_EFFECTOR * math.log(effector[0]) if effector else 0.0)
         return smooth - self._weight_beside(effector) * away + 30.0 * self._beyond(free)
 
-    def _weight_beside(self, effector: object) -> float:
+    def _weight_beside(self, effector: _Effector) -> float:
         """Kappa, or a part of it beside J and E alone, without F."""
         return self._weight if effector else _ALONE * self._weight
 
@@ -169,7 +171,7 @@ class GuideOptimisation:
         distances, jerk = self._distances(free, every), jerk_of(free)
         # The trust region is the largest distance that a joint may move a link [m].
         clearance, trust = distances[1].min(initial=self._enough), 0.1
-        measure = self.measure(free, clearance, jerk and jerk[0])
+        measure = self.measure(free, clearance, jerk)
         for _ in range(steps):
             check_time()
             new, gain = self._step(free, distances, jerk, clearance, trust)
@@ -177,7 +179,7 @@ class GuideOptimisation:
                 break
             ahead, smooth = self._distances(new, every), jerk_of(new)
             near = ahead[1].min(initial=self._enough)
-            lower = self.measure(new, near, smooth and smooth[0])
+            lower = self.measure(new, near, smooth)
             if lower < measure:
                 gain = measure - lower
                 free, distances, jerk, clearance, measure = new, ahead, smooth, near, lower
@@ -242,9 +244,7 @@ class GuideOptimisation:
         instant, distance, slope = self._slopes.along(self._scale * (self._rows[::every] @ self._control(free)))
         return every * instant, distance, slope * self._scale
 
-    def _step(
-        self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats] | None, clearance: float, trust: float
-    ) -> tuple[Floats, float]:
+    def _step(self, free: Floats, near: _Near, jerk: _Effector, clearance: float, trust: float) -> tuple[Floats, float]:
         """The control points after the quadratic program's step in the trust region, and the gain that it expects."""
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep

@@ -105,7 +105,7 @@ def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clea
     motion = one.motion(poles, free)
     check_motion(poles.arm, motion)
     least = Collisions(poles.arm).clearance(motion.q)
-    assert measure == pytest.approx(one.measure(free, least, one._effector_jerk(free)[0]), abs=0.05)
+    assert measure == pytest.approx(one.measure(free, least, one._effector_jerk(free)), abs=0.05)
     # A larger weight of clearance gives more of it, at the cost of length and jerk.
     wide = optimisation(poles, weight=1.0)
     wider = wide.motion(poles, wide.descend(free, 12)[1])
@@ -156,7 +156,7 @@ def test_a_small_step_gains_what_it_expects_to(near_by, poles, monkeypatch):
     def seen(free):
         near, jerk = one._distances(free), one._effector_jerk(free)
         clearance = float(near[1].min())
-        return near, jerk, clearance, one.measure(free, clearance, jerk[0])
+        return near, jerk, clearance, one.measure(free, clearance, jerk)
 
     near, jerk, clearance, measure = seen(free)
     assert clearance < one._enough
