@@ -6,24 +6,23 @@ on the first rendering, in `rendering.opengl`.
 
 import os
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 try:
-    import mujoco
+    import mujoco as mujoco  # for others to import from here
 except Exception:  # of several OpenGL bindings, with no common base
     asked = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
-        import mujoco
+        import mujoco as mujoco
     finally:
         if asked is None:
             del os.environ["MUJOCO_GL"]
         else:
             os.environ["MUJOCO_GL"] = asked
-
-__all__ = ["QuietWarnings", "geom_colours", "kinematics_along", "kinematics_at", "mujoco", "scratch_data"]
 
 _SCRATCH = threading.local()
 
@@ -48,14 +47,21 @@ def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
     return data
 
 
+def kinematics_each(model: Any, rows: Any, data: Any = None) -> Iterator[Any]:
+    """The same `mujoco.MjData` with the kinematics at one row of positions ``(K, nq)`` after another."""
+    data = mujoco.MjData(model) if data is None else data
+    for data.qpos[:] in rows:
+        mujoco.mj_kinematics(model, data)
+        yield data
+
+
 def kinematics_along(model: Any, rows: Any, *arrays: str, data: Any = None) -> list[Any]:
-    """Arrays of `mujoco.MjData`, such as ``xpos``, at each row of positions ``(K, nq)``: each ``(K, ...)``."""
+    """Whole arrays of `mujoco.MjData`, such as ``xpos``, at each row of positions ``(K, nq)``: each ``(K, ...)``."""
     data = mujoco.MjData(model) if data is None else data
     # Views are kept, since getting one from MuJoCo takes as long as reading it.
     views = [getattr(data, name) for name in arrays]
     results = [np.empty((len(rows), *view.shape)) for view in views]
-    for k, data.qpos[:] in enumerate(rows):
-        mujoco.mj_kinematics(model, data)
+    for k, _ in enumerate(kinematics_each(model, rows, data)):
         for result, view in zip(results, views, strict=True):
             result[k] = view
     return results

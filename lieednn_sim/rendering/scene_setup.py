@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from lieednn_sim._mujoco import geom_colours, kinematics_along, kinematics_at, mujoco
+from lieednn_sim._mujoco import geom_colours, kinematics_at, kinematics_each, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.floor import GREY
@@ -43,8 +43,7 @@ def load_path(run: Rollout) -> Floats:
     mass = run.arm.model.body_mass * PassiveJoints(run.arm).bodies
     if not mass.any():
         return np.empty((0, 3))
-    (centres,) = kinematics_along(run.arm.model, run.qpos, "xipos")
-    return np.asarray(np.vecmat(mass, centres) / mass.sum())
+    return np.array([mass @ data.xipos / mass.sum() for data in kinematics_each(run.arm.model, run.qpos)])
 
 
 def occupied(run: Rollout) -> Floats:
@@ -54,11 +53,9 @@ def occupied(run: Rollout) -> Floats:
     a view may be more than the arm; and corners around other geoms near these, clipped to the region of the former.
     """
     arm, model = run.arm, run.arm.model
-    data, results = mujoco.MjData(model), []
     shown = np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
-    for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
-        mujoco.mj_kinematics(model, data)
-        results.append(_corners(model, data))
+    some = run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]
+    results = [_corners(model, data) for data in kinematics_each(model, some)]
     shown |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
     drawn = (model.geom_type != _PLANE) & (model.body_mocapid[model.geom_bodyid] < 0)
     ends = [] if arm.state is not None else [arm.base.translation, arm.link_poses(run.target).translation[-1]]

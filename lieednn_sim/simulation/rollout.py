@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim import io
-from lieednn_sim._mujoco import kinematics_along, mujoco
+from lieednn_sim._mujoco import kinematics_each, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
@@ -174,8 +174,10 @@ class Rollout:
     def poses(self, name: str) -> RigidTransform:
         """Poses of shape ``(K,)`` of any body or site of the arm's model in the world; `InputError` lists the names."""
         model, frame = self.arm.model, BodyFrames.of([find_frame(self.arm.model, name)])
-        places, turns = frame.poses(*kinematics_along(model, self.qpos, "xpos", "xmat"))
-        return transforms(turns[:, 0], places[:, 0])
+        # In turn, since the poses of all bodies of a large model do not fit into memory.
+        each = [frame.poses(data.xpos, data.xmat) for data in kinematics_each(model, self.qpos)]
+        places, turns = map(np.concatenate, zip(*each, strict=True))
+        return transforms(turns, places)
 
     def link_poses(self) -> RigidTransform:
         """Simulated link frames as poses of shape ``(K, N)``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import tracemalloc
 
 import mujoco
 import numpy as np
@@ -92,6 +93,20 @@ def test_each_kind_of_actuator_follows_the_plan_and_the_rest_obeys_physics_alone
     with pytest.raises(InputError, match="no body or site 'cup'"):
         run.poses("cup")
     assert run == ls.simulate(arm, found, hold=0.5)
+
+
+def test_poses_of_a_body_take_no_memory_for_all_others():
+    many = "".join(f'<body pos="0 {5 + k} 0"><geom size=".01"/></body>' for k in range(300))
+    model = mujoco.MjModel.from_xml_string(ROBOT.replace("</worldbody>", f"{many}</worldbody>"))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["turn", "lift", "reach"], tip="tip")
+    run = ls.simulate(arm, ls.plan(arm, [0.3, 0.2, 0.1], planner="minimum-jerk", duration=1.0))
+    tracemalloc.start()
+    try:
+        run.poses("tip")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 0.1 * len(run.t) * model.nbody * 12 * 8
 
 
 def test_a_rollout_of_a_view_is_judged_saved_and_loaded(case, tmp_path):
